@@ -71,8 +71,9 @@ bench: $(VENV)/.test
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
-# Compiled once for all environments; what is imported is compiled to bytecode then.
+# Compiled once for all environments; what is imported is compiled to bytecode then: hundreds of processes need it again.
 export PIP_COMPILE = 0
+unexport PYTHONDONTWRITEBYTECODE
 TAG := $(shell $(PYTHON) -c 'import sys; print(sys.implementation.cache_tag)')
 WHEEL := build/wheel-$(TAG)
 RIVALS := build/rivals-$(TAG)

@@ -1,6 +1,7 @@
 """What every target of exports must do: what is written and kept, which models are refused, and the voltages."""
 
 import json
+import shutil
 import subprocess
 from dataclasses import fields, replace
 
@@ -155,16 +156,18 @@ def test_every_target_but_the_fmu_is_run():
 
 @pytest.mark.parametrize("suffix", TARGETS)
 def test_what_is_written_is_declared_and_the_same_again(suffix, tmp_path):
-    made = [exported(tmp_path / folder, PLAIN, f"stage{suffix}") for folder in ("a", "b")]
-    assert content(made[0][-1]) == content(made[1][-1]) != {}
-    status, values, path = made[0]
+    status, values, path = exported(tmp_path / "a", PLAIN, f"stage{suffix}")
+    before = content(path)
     assert (status, values["path"]) == (0, str(path)), values
     made = path.iterdir() if path.is_dir() else path.parent.iterdir()
     assert set(values["files"]) == {str(path) for path in made if path.name != "model.json"}
-    notes = (path if path.is_dir() else path.parent) / "notes.txt"
+    # In another folder, over the same and beside a file of somebody else.
+    shutil.copytree(path.parent, tmp_path / "b")
+    notes = (tmp_path / "b" / path.name if path.is_dir() else tmp_path / "b") / "notes.txt"
     notes.write_text("mine")
-    assert exported(path.parent, PLAIN, path.name, "--force")[:2] == (0, values)
-    assert notes.read_text() == "mine"
+    status, again, path = exported(tmp_path / "b", PLAIN, path.name, "--force")
+    assert (status, len(again["files"]), notes.read_text()) == (0, len(values["files"]), "mine")
+    assert {**content(path), "notes.txt": b""} == {**before, "notes.txt": b""} != {"notes.txt": b""}
 
 
 @pytest.mark.parametrize("suffix", TARGETS)

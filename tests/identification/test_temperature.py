@@ -172,7 +172,7 @@ DISTURBANCES = {
 
 @cache
 def disturbed(name):
-    return dehyst.identify(recorded(PLANT, DISTURBANCES[name]))
+    return dehyst.identify(recorded(PLANT, DISTURBANCES[name]), **SETTINGS)
 
 
 @pytest.mark.parametrize("name", [at_night("drift"), "vibration", at_night("noise")])
