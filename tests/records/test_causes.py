@@ -252,6 +252,7 @@ def test_overload_readings_are_left_out_before_the_loops_are_judged():
     y[[300, 301, 302]], y[700] = 9999.999e-6, -1e-3
     overloaded = record(V, y)
     overloaded.check_usable()
+    assert guesses(overloaded) == ()
     assert np.flatnonzero(spikes(V, y)).tolist() == [300, 301, 302, 700]
     found = cleaned(overloaded)
     assert found.record.stroke == pytest.approx(np.ptp(Y), rel=0.01)

@@ -181,31 +181,6 @@ def test_proposals(case, tmp_path):
     assert (caught.value.proposal in str(caught.value), caught.value.change) == (True, ("columns",) if found else ())
 
 
-# Header, columns of data, the guess, and what is proposed in its place; none where the guess is taken.
-GUESSED = {
-    "a stroke of 11 mm": ("time_s,voltage_V,y", (T, V, 1e3 * UM), "displacement=y:um?", "displacement=y:nm?"),
-    "a stroke of 1 nm": ("time_s,voltage_V,y", (T, V, 1e-4 * UM), "displacement=y:um?", "displacement=y:mm?"),
-    "a stroke of 12 um": ("time_s,voltage_V,y", (T, V, 1e3 * UM), "displacement=y:nm?", ""),
-    "a stated stroke of 11 mm": ("time_s,voltage_V,y", (T, V, 1e3 * UM), "displacement=y:um", ""),
-    "the file's stroke of 11 mm": ("time_s,voltage_V,y_um", (T, V, 1e3 * UM), "displacement=y_um?", ""),
-    "10 mV": ("time_s,v,y_um", (T, 1e-4 * V, UM), "voltage=v:V?", "voltage=v:V?*GAIN"),
-    "100 kV": ("time_s,v,y_um", (T, 1e3 * V, UM), "voltage=v:V?", "voltage=v:mV?"),
-    "an overload": ("time_s,voltage_V,y", (T, V, np.where(T[40] == T, 9999.9, UM)), "displacement=y:um?", ""),
-}
-
-
-@pytest.mark.parametrize("case", GUESSED)
-def test_a_guessed_unit_that_no_stage_has_is_asked_about(case, tmp_path):
-    header, columns, guess, proposal = GUESSED[case]
-    (tmp_path / "a.csv").write_text(f"{header}\n{rows(*columns)}")
-    if not proposal:
-        assert len(dehyst.read(tmp_path / "a.csv", guess)) == T.size
-        return
-    with pytest.raises(ColumnsError) as caught:
-        dehyst.read(tmp_path / "a.csv", guess)
-    assert caught.value.proposal == proposal
-
-
 def test_a_proposal_keeps_what_was_given(tmp_path):
     (tmp_path / "a.csv").write_text("clock,CH1,CH2\n" + rows(T, LOW, UM))
     with pytest.raises(ColumnsError) as caught:

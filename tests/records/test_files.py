@@ -135,7 +135,7 @@ def test_rounded_columns_have_no_tails_and_keep_within_their_range(tmp_path):
     write_columns(tmp_path / "a.csv", {"voltage_V": voltage, "empty": [float("nan")] * 4}, digits=12)
     lines = (tmp_path / "a.csv").read_text().splitlines()[-4:]
     # The least and the largest would grow by rounding.
-    assert lines == ["0.005,nan", "33.3333333333,nan", "-109.999999999,nan", "99.9876543219,nan"]
+    assert lines == ["0.005,", "33.3333333333,", "-109.999999999,", "99.9876543219,"]
 
 
 OTHER_PATHS = {

@@ -55,21 +55,11 @@ class Scale(NamedTuple):
         need = "a number from the data sheet, not 0; of a fringe or a grating a length, as *fringe 316.4 nm"
         raise FileFormatError(argument="columns", got=f"*{text}", need=need)
 
-    @property
-    def words(self) -> str:
-        """The scale in a sentence."""
-        return str(self) if self.unit else f"times {self}"
-
     def __str__(self) -> str:
         number = f"{self.factor:.12g}"
         if self.kind:
             return f"{self.kind} {number} {self.unit}"
         return f"{number} {self.unit}/{self.per}" if self.unit else number
-
-    @property
-    def period(self) -> float:
-        """The length [m] after which the signal repeats itself."""
-        return float(in_si(self.factor, self.unit))
 
     def fault(self, quantity: str, unit: str) -> str:
         """Return why a column of a `unit`, empty if unknown, cannot be scaled to a quantity; empty if it can."""
@@ -228,11 +218,6 @@ class Columns:
     def save(self, path: PathLike) -> None:
         """Write the text to a file, for ``@FILE``; raise `FileFormatError` if it cannot be written."""
         write_atomically(path, f"{self}\n".encode())
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """Files that are read in addition to those of a command."""
-        return () if self.join is None else (path_of(self.join),)
 
     def demand(self, keys: Sequence[str], words: str, *, axes: bool = False) -> None:
         """Raise an error for keys without an effect; with `axes`, the columns are those of the axes."""

@@ -6,7 +6,8 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import floor, isnan, log10
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import FileFormatError
 from dehyst._io import COMPUTED, PathLike, packed, path_of, reading, write_atomically
 from dehyst._types import Array
+from dehyst._units import in_si
 from dehyst.records.columns import Columns
 from dehyst.records.events import record_of_periodic
 from dehyst.records.formats.column import MOST, TEXT, Allowance, Column, listed
@@ -29,8 +31,6 @@ _ADVICE = dict.fromkeys((".xls", ".ods", ".opj", ".opju", ".parquet"), "; save i
 }
 _MEASURED = ("voltage", "displacement")
 _SIGNS = {"point": ".", "comma": ","}
-# Kinds of files whose numbers are text.
-_WITH_SIGNS = (*TEXT, ".asc", ".xlsx")
 # Rows that are written at once.
 _BLOCK = 1 << 14
 
@@ -82,7 +82,8 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
     channels = tuple(channel for channel, _ in others)
     guesses = {quantity: part.guess for quantity, part in used_as.items()}
     guesses |= {channel.name: column.guessed for channel, column in others}
-    scales = {quantity: part.entry.scale.words for quantity, part in used_as.items() if part.entry.scale is not None}
+    given = {quantity: part.entry.scale for quantity, part in used_as.items() if part.entry.scale is not None}
+    scales = {quantity: str(scale) if scale.unit else f"times {scale}" for quantity, scale in given.items()}
     found = {quantity: part.column.name for quantity, part in first.items()}
     found |= {channel.name: column.name for channel, column in others}
     if columns.rate is not None:
@@ -99,7 +100,7 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
     }
     hold: Any = columns.hold or ("sample" if first["voltage"].column.timing == "sample" else "line")
     if columns.axes:
-        if any(part.entry.scale is not None and part.entry.scale.kind for part in used_as.values()):
+        if any(scale.kind for scale in given.values()):
             need = "one voltage and one displacement; read each axis by itself"
             raise FileFormatError(argument="columns", got="a periodic signal with axes", need=need)
         records = [
@@ -113,7 +114,8 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
     voltage = first["voltage"].values
     if scale is not None and scale.kind:
         unit = y.entry.unit or y.column.parts[1] or "a.u."
-        record = record_of_periodic(time, voltage, y.values, scale.period, kind=scale.kind, name=name, unit=unit)
+        period = float(in_si(scale.factor, scale.unit))
+        record = record_of_periodic(time, voltage, y.values, period, kind=scale.kind, name=name, unit=unit)
         return replace(record, meta=meta, others=(*channels, *record.others), hold=hold)
     measured = ~np.isnan(y.values) if y.column.timing == "events" else None
     return Record(time, voltage, y.values, name, meta, others=channels, hold=hold, measured=measured)
@@ -148,9 +150,9 @@ def table_of(path: PathLike, columns: Columns) -> Table:
     table = table if columns.rate is None else table.with_rate(columns.rate)
     if columns.join is None:
         return table
-    (path,) = columns.files
-    own = columns if path.suffix.lower() in _WITH_SIGNS else replace(columns, decimal=None)
-    return joined(table, read_table(path, own), columns)
+    second = path_of(columns.join)
+    own = columns if second.suffix.lower() in TEXT else replace(columns, decimal=None)
+    return joined(table, read_table(second, own), columns)
 
 
 def read_table(path: PathLike, columns: Columns | None = None) -> Table:
@@ -160,8 +162,8 @@ def read_table(path: PathLike, columns: Columns | None = None) -> Table:
         known = f"unknown kind of file '{path.suffix}'; dehyst reads {' '.join(LOADERS)}"
         raise FileFormatError(f"{path}: {known}{_ADVICE.get(path.suffix.lower(), '')}")
     with reading(path, path.suffix, MOST) as stream:
-        if columns.decimal is not None and path.suffix.lower() not in _WITH_SIGNS:
-            got = f"{columns.decimal} for {path.suffix} files, which hold no text"
+        if columns.decimal is not None and path.suffix.lower() not in TEXT:
+            got = f"{columns.decimal} for a {path.suffix} file, whose numbers are no text"
             raise FileFormatError(argument="decimal", got=got, need="none")
         digest = hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
         stream.seek(0)
@@ -226,26 +228,22 @@ def _blocks(path: PathLike, columns: Mapping[str, ArrayLike], digits: int | None
         shapes = ", ".join(f"{name} {array.shape}" for name, array in zip(columns, arrays, strict=True))
         raise FileFormatError(f"{path}: columns must be one-dimensional and of one length, got {shapes or 'none'}")
     delimiter = "\t" if Path(path).suffix.lower() == ".tsv" else ","
+    if digits is not None:
+        arrays = [np.clip(array, *_ends(array, digits)) for array in arrays]
     yield "\n".join([*head, delimiter.join(columns), ""])
-    if digits is None:
-        for i in range(0, arrays[0].size, _BLOCK):
-            texts = (["" if isnan(x) else repr(x) for x in array[i : i + _BLOCK].tolist()] for array in arrays)
-            yield "".join(f"{delimiter.join(row)}\n" for row in zip(*texts, strict=True))
-        return
-    line, ends = delimiter.join([f"%.{digits}g"] * len(arrays)) + "\n", [_ends(array, digits) for array in arrays]
+    line = delimiter.join(["%r" if digits is None else f"%.{digits}g"] * len(arrays)) + "\n"
     for i in range(0, arrays[0].size, _BLOCK):
-        pairs = zip(arrays, ends, strict=True)
-        block = np.column_stack([np.clip(array[i : i + _BLOCK], *inside) for array, inside in pairs])
-        yield line * len(block) % tuple(block.ravel().tolist())
+        block = np.column_stack([array[i : i + _BLOCK] for array in arrays])
+        # A number that is not known is a blank cell.
+        yield (line * len(block) % tuple(block.ravel().tolist())).replace("nan", "")
 
 
 def _ends(values: Array, digits: int) -> tuple[float, float]:
     """Return ends for values (n,) so that rounding to `digits` leads none beyond their range: a limit stays kept."""
-    there, ends = np.isfinite(values), []
-    lowest, highest = values.min(where=there, initial=np.inf), values.max(where=there, initial=-np.inf)
-    for end, way in ((float(lowest), 1.0), (float(highest), -1.0)):
-        rounded = float(f"{end:.{digits}g}")
-        if way * rounded < way * end:
-            rounded = float(f"{rounded + way * 10.0 ** (floor(log10(abs(end))) + 1 - digits):.{digits}g}")
-        ends.append(rounded)
-    return (ends[0], ends[1]) if ends[0] <= ends[1] else (-np.inf, np.inf)
+    there = np.isfinite(values)
+    lowest, highest = values.min(where=there, initial=inf), values.max(where=there, initial=-inf)
+    low, high = (
+        float(Context(digits, rounding).create_decimal(float(end)))
+        for end, rounding in ((lowest, ROUND_CEILING), (highest, ROUND_FLOOR))
+    )
+    return (low, high) if low <= high else (-inf, inf)

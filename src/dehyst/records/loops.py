@@ -222,8 +222,6 @@ def remarks(record: Record) -> Iterator[str]:
     turns = turns_of(record.voltage)
     if turns.size < 2 or record.stroke < LEAST_STROKE or fringes(record):
         return
-    if _sorted_branches(record.voltage, record.displacement, record.noise, leads=False) == "":
-        yield "The voltage falls back in one sample, several times: a sawtooth, or branches that are sorted by voltage."
     if sense(record.voltage, record.displacement, record.cycles()) >= 0 and (early := early_turns(record)):
         words = _shift(record, early)
         yield f"{words[0].upper()}{words[1:]}."

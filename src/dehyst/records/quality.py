@@ -11,7 +11,7 @@ from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.records import loops
 from dehyst.records.cleaning import FEWEST_NEW, cleaned
-from dehyst.records.formats.column import impossible, unlikely
+from dehyst.records.formats.column import QUANTITIES, impossible
 from dehyst.records.signals import gaps, new_samples, noise_span, resolution, runs
 
 if TYPE_CHECKING:
@@ -103,15 +103,21 @@ def other_unit(record: Record) -> str:
 
 def guesses(record: Record) -> tuple[str, ...]:
     """Return what to verify of a record: guesses made when it was read, and units in which no stage moves."""
-    guessed, columns = record.meta.get("guesses"), {"voltage": record.voltage, "displacement": record.displacement}
-    doubts = [f"The {quantity} has {words}" for quantity, v in columns.items() if (words := unlikely(quantity, v))]
-    driven, moved = (float(np.ptp(np.quantile(values, (0.05, 0.95)))) for values in columns.values())
+    # Without the readings of an overload.
+    driven, moved = (float(np.ptp(np.quantile(v, (0.05, 0.95)))) for v in (record.voltage, record.displacement))
+    doubts = []
+    for quantity, span, unit in (("voltage", driven, "V"), ("displacement", moved, "m")):
+        least, most = QUANTITIES[quantity].range
+        if 0 < span < least or span > most:
+            usual = f"{least:g} to {most:g} {unit}"
+            doubts.append(f"The {quantity} has a range of {span:.3g} {unit}, where a stage has {usual}")
     if not doubts and moved and not _GAINS[0] * driven <= moved <= _GAINS[1] * driven:
         doubts = [f"The displacement has {moved:.3g} m for {driven:.3g} V, where a stage has 2 nm to 50 um for each"]
     if (cycle := float(np.ptp(record.time)) / max(len(record.cycles()), 1)) > _SLOWEST:
         doubts.append(f"The time has {cycle:.3g} s a cycle")
+    guessed = dict(record.meta.get("guesses") or {})
     return (
-        *(f"The {key} is guessed, verify: {words}." for key, words in dict(guessed or {}).items()),
+        *(f"The {key} is guessed, verify: {words}." for key, words in guessed.items()),
         *(f"{doubt}; check its unit and scale." for doubt in doubts),
     )
 

@@ -24,7 +24,6 @@ from dehyst.records.formats.column import (
     listed,
     plausible_unit,
     shortened,
-    unlikely,
 )
 
 _UNNAMED = (
@@ -160,11 +159,6 @@ class Table:
             )
             ends = f"{values.min():.4g} to {values.max():.4g} V"
             raise ColumnError(self.source, quantity, f"{problem}{ends}", hint, column)
-        periodic = entry.scale is not None and entry.scale.kind
-        if entry.guess and entry.unit and not periodic and (words := unlikely(quantity, values)):
-            problem = f"column '{shortened(column.name)}' would have, in the guessed unit {unit}, {words}"
-            hint = f"find out its unit, and give {quantity}={shortened(column.name)}:UNIT without the {GUESS}"
-            raise ColumnError(self.source, quantity, problem, hint, column)
         if step > 0 and (words := impossible("time", step)):
             raise FileFormatError(f"{self.source}: column '{shortened(column.name)}': {words}", change=("columns",))
         # The record shares these values.

@@ -13,7 +13,7 @@ from dehyst._types import Array
 from dehyst._units import FACTORS, quantity_of, symbol_of
 from dehyst.records.formats.notation import Moment
 
-TEXT = (".csv", ".tsv", ".txt", ".dat")
+TEXT = (".csv", ".tsv", ".txt", ".dat", ".asc")
 # Limit of the bytes of a file and of its numbers, 20 million samples; bytes of a number.
 MOST, _DOUBLE = 500_000_000, 8
 
@@ -150,17 +150,6 @@ def impossible(quantity: str, size: float) -> str:
     ways = {"time": ", or give the sample rate", "displacement": f', or give units "{other}" in Python'}
     question = f"is the {quantity} in {other}? Correct its unit{ways.get(quantity, '')}"
     return f"got {name} {size:.4g} {unit}, need {need} {unit}: {question}"
-
-
-def unlikely(quantity: str, values: Array) -> str:
-    """Return the range of a voltage or displacement (n,) [V, m] that no stage has, in words; or empty."""
-    if quantity not in ("voltage", "displacement") or not values.size:
-        return ""
-    # Without the readings of an overload.
-    span, (least, most) = float(np.ptp(np.quantile(values, (0.05, 0.95)))), QUANTITIES[quantity].range
-    unit = _POSSIBLE[quantity][1]
-    likely = not (0 < span < least or span > most)
-    return "" if likely else f"a range of {span:.3g} {unit}, where a stage has {least:g} to {most:g} {unit}"
 
 
 class Allowance:

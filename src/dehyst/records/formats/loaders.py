@@ -56,8 +56,6 @@ def read_gcs(stream: BinaryIO, allowance: Allowance) -> list[Column]:
 
 # The least memory of a cell while it is read [bytes], and the cells that an empty row counts for.
 _CELL, _ROW = 32, 16
-# A text that may be a number with a decimal sign, or with groups of digits.
-_SIGNED = re.compile(r"[-+]?\d*[.,][\d.,]*(?:[eE][-+]?\d+)?")
 
 
 def read_xlsx(stream: BinaryIO, allowance: Allowance) -> list[Column]:
@@ -94,7 +92,7 @@ def read_xlsx(stream: BinaryIO, allowance: Allowance) -> list[Column]:
 def _cell(value: Any) -> str:
     """Return the text of a cell; a number that is text has an apostrophe, because its decimal sign is not known."""
     text = "" if value is None else " ".join(str(value).split())
-    return f"'{text}" if isinstance(value, str) and _SIGNED.fullmatch(text) else text
+    return f"'{text}" if isinstance(value, str) and {*text} & {*".,"} and is_number(text) else text
 
 
 Loader = Callable[[BinaryIO, Allowance], list[Column]]
@@ -120,7 +118,7 @@ def _read_text(stream: BinaryIO, allowance: Allowance) -> list[Column]:
 
 # The function of the bytes of a file and the allowance that returns its columns, by suffix.
 LOADERS: dict[str, Loader] = {
-    **dict.fromkeys((*TEXT, ".asc"), _read_text),
+    **dict.fromkeys(TEXT, _read_text),
     ".xlsx": read_xlsx,
     ".mat": containers.read_mat,
     ".h5": containers.read_hdf5,

@@ -6,9 +6,11 @@ import re
 from collections import Counter
 from typing import NamedTuple
 
+import numpy as np
+
 from dehyst._errors import FileFormatError
 from dehyst._units import symbol_of
-from dehyst.records.formats.column import shortened
+from dehyst.records.formats.column import Column, shortened
 from dehyst.records.formats.notation import cells_of, is_moment, is_number
 
 # Lines that are looked at: an oscilloscope writes some 30 lines above its table.
@@ -189,8 +191,8 @@ def _is_word(cell: str) -> bool:
 
 def _are_names(row: list[str]) -> bool:
     """Return whether the cells of a line are different names, at least one of them with its unit."""
-    ends = [re.split(r"[\s,/_(\[]", cell.rstrip("])"))[-1] for cell in row]
-    return all(row) and all(map(_is_word, row)) and len(set(row)) == len(row) and any(map(symbol_of, ends))
+    units = [Column(cell, np.empty(0)).parts[1] for cell in row]
+    return all(row) and all(map(_is_word, row)) and len(set(row)) == len(row) and any(map(symbol_of, units))
 
 
 def _heading(lines: list[_Line], shape: _Shape) -> Layout | None:

@@ -207,13 +207,11 @@ class _Table:
         return Column(self.names[place], data, unit, fault, unnamed=self.layout.unnamed, began=began)
 
 
-# Letters of the words for the time from one sample to the next, and for samples a second.
-_WORDS = {
-    "step": "xinc xincr xincrement sampleinterval samplinginterval sampleperiod timestep deltat dt horizontalinterval "
-    "abtastintervall abtastzeit",
-    "rate": "samplerate samplingrate samplefrequency samplingfrequency abtastrate abtastfrequenz sampling",
-}
-_KINDS = {word: kind for kind, words in _WORDS.items() for word in words.split()}
+# Letters of the words for the time from one sample to the next, or for samples a second: its unit says which.
+_SAMPLING = re.compile(
+    r"(?:sampl(?:e|ing)|abtast)(?:intervall?|period|rate|frequency|frequenz|zeit)|sampling|timestep|deltat|dt|"
+    r"horizontalinterval|xinc(?:r|rement)?"
+)
 _HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "s/s": 1.0, "sa/s": 1.0, "ks/s": 1e3, "ms/s": 1e6}
 # Key, unit in brackets, number, and unit of a line.
 _STATED = re.compile(
@@ -248,12 +246,14 @@ def _with_clock(columns: list[Column], lines: Sequence[str], decimal: str) -> li
 
 def _stated(match: re.Match[str], decimal: str) -> float | None:
     """Return the step [s] that a line states, NaN if it can be read in two ways; or None."""
-    key, unit = re.sub(r"[^a-z]", "", match[1].lower()), match[4] or match[2] or ""
+    if not _SAMPLING.fullmatch(re.sub(r"[^a-z]", "", match[1].lower())):
+        return None
+    unit = match[4] or match[2] or ""
     hertz, seconds = _HERTZ.get(unit.lower(), 0.0), FACTORS["time"].get(symbol_of(unit), 0.0)
     try:
         value = number_in(match[3], decimal) if not {*match[3]} & {",", "."} - {decimal} else np.nan
     except ValueError:
         value = np.nan
-    if value <= 0 or not (hertz if _KINDS.get(key) == "rate" else _KINDS.get(key) and seconds):
+    if value <= 0 or not (hertz or seconds):
         return None
-    return 1 / (hertz * value) if _KINDS[key] == "rate" else seconds * value
+    return 1 / (hertz * value) if hertz else seconds * value
