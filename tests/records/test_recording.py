@@ -137,15 +137,3 @@ def test_a_file_that_is_removed_while_recording_is_noticed(tmp_path):
         for _ in range(2):
             with pytest.raises(FileFormatError, match="removed"):
                 recording.add(block(5, 5))
-
-
-def test_several_axes_are_columns_of_one_file(tmp_path):
-    samples = block(0, 4)
-    voltage, displacement = (np.outer(values, [1, 2]) for values in (samples.voltage, samples.displacement))
-    with Recording(tmp_path / "a.csv", axes=("x", "y")) as recording:
-        recording.add(SimpleNamespace(time=samples.time, voltage=voltage, displacement=displacement))
-        with pytest.raises(RecordError):
-            recording.add(samples)
-    record = read(tmp_path / "a.csv", "x=vx_V:x_um, y=vy_V:y_um")
-    assert record.axes == ("x", "y") and record.voltage.tolist() == voltage.tolist()
-    np.testing.assert_allclose(record.displacement, displacement, rtol=1e-15)
