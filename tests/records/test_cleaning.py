@@ -150,7 +150,7 @@ def test_a_pulse_that_the_displacement_follows_is_no_glitch(first, pulse, width,
     still = plant.simulate(v, state=turned(plant, 0.0)).displacement
     v[first : first + width] += pulse
     y = plant.simulate(v, state=turned(plant, 0.0)).displacement
-    # What begins within the record may be later than what begins with it.
+    # A pulse within the record may be later than one at its start.
     late = np.interp(np.arange(1200) - (lag if first else min(lag, 1)), np.arange(1200), y)
     assert not glitches(v, late).any()
     assert samples_of(glitches(v, still)) == set(range(first, first + width))
