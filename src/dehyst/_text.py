@@ -1,13 +1,12 @@
-"""Text of messages: foreign text with control characters escaped, counts, and short lists."""
+"""Text of messages: foreign text with control characters escaped, counts, and digits."""
 
 from __future__ import annotations
 
 import html
 import unicodedata
-from collections.abc import Iterator, Sequence
 
-# Sentences of a list that are shown without asking for all.
-_SHOWN = 3
+# Most digits of a number.
+_MOST = 9
 
 
 def escaped(text: object) -> str:
@@ -30,18 +29,11 @@ def escape(text: object, *, quote: bool = True) -> str:
     return html.escape(escaped(text), quote=quote)
 
 
-def to_know(sentences: Sequence[str]) -> Iterator[str]:
-    """Yield an empty line, the first three sentences as a list, and the number of further ones."""
-    if sentences:
-        yield ""
-    yield from (f"  - {sentence}" for sentence in sentences[:_SHOWN])
-    if len(sentences) > _SHOWN:
-        yield f"  - {counted(len(sentences) - _SHOWN, 'more remark')}."
-
-
-def digits(number: float, count: int = 2) -> str:
-    """Write a number with `count` digits, without a power of ten from 0.0001 to a million: "110", not "1.1e+02"."""
-    return f"{float(f'{number:.{count}g}'):g}"
+def digits(number: float, count: int = 2, *unlike: float) -> str:
+    """Write a number with `count` digits, more if it would look like `unlike` ones, and no power of ten: "110"."""
+    while count < _MOST and f"{number:.{count - 1}e}" in [f"{x:.{count - 1}e}" for x in unlike if x != number]:
+        count += 1
+    return f"{float(f'{number:.{count}g}'):.{max(count, 6)}g}"
 
 
 def counted(number: int, noun: str) -> str:

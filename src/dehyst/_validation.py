@@ -143,7 +143,8 @@ def interval(limits: Sequence[float], *, error: type[DehystError] = ModelError) 
     pair = plain(limits, "limits", error=error)
     ends = [number(end, "limits", error=error) for end in pair] if isinstance(pair, Sequence | np.ndarray) else []
     if len(ends) != 2 or ends[0] >= ends[1]:
-        raise error(argument="limits", got=limits, need="two finite voltages, the lower one first, such as (0, 200)")
+        got, need = " and ".join(f"{end:g}" for end in ends), "two finite voltages, the lower one first"
+        raise error(argument="limits", got=got, need=need)
     demand_computable(ends, "limits [V]", most=MOST_ADDED, error=error)
     return ends[0], ends[1]
 
@@ -185,8 +186,8 @@ def axis_names(axes: Sequence[str], count: int, what: str, error: type[DehystErr
     names = tuple(axes)
     good = all(isinstance(name, str) and name and not set(name) & set(" \t\n,;:\"'") for name in names)
     if isinstance(axes, str) or len(names) != count or not good or len(set(names)) < count or not count:
-        need = f"{count} different names without blanks, such as {('x', 'y')}"
-        raise of_part(error(argument="axes", got=repr(axes), need=need), what)
+        need = f"{count} different names without blanks, such as x, y"
+        raise of_part(error(argument="axes", got=", ".join(map(str, names)), need=need), what)
     return names
 
 
@@ -262,8 +263,9 @@ class Numbers:
     def need(self) -> str:
         """What the numbers must be, in words."""
         words = [f"{self.least:g} or more"] * (self.least > -inf) + [f"{self.most:g} or less"] * (self.most < inf)
+        words = [f"{self.least:g} to {self.most:g}"] if len(words) == 2 else words
         words += ["above 0"] * self.positive + ["strictly increasing"] * self.rising
-        return f"{'numbers' if self.dimensions else 'a number'}, {' and '.join(words)}"
+        return ", ".join(["numbers" if self.dimensions else "a number", *words])
 
 
 def fraction(value: object, name: str, least: float | None = None) -> float:

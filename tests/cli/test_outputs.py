@@ -2,6 +2,7 @@
 
 import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -54,6 +55,17 @@ def test_no_command_replaces_a_file_or_writes_into_a_folder_of_others(folder, mo
     kept = target / "report.html" if target.is_dir() else target
     assert kept.read_text() == "mine"
     assert not target.is_dir() or [path.name for path in target.iterdir()] == ["report.html"]
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="a place where nobody may write")
+@pytest.mark.parametrize(("name", "command", "output"), list(writing()))
+def test_the_place_of_an_output_is_tried_before_the_work(folder, monkeypatch, name, command, output):
+    """All inputs are absent: a command that did anything before would name one of them."""
+    monkeypatch.chdir(folder)
+    place = f"/proc/self/out{getattr(output.type, 'suffix', '')}"
+    done = CliRunner().invoke(main, [*name.split(), *sample_words(command, output, place)])
+    assert done.exit_code == 2
+    assert place in done.stderr
 
 
 def test_an_output_is_written_once_and_again_by_force(folder):

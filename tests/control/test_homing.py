@@ -55,8 +55,29 @@ def test_a_homing_takes_no_longer_than_is_allowed(seconds):
     homing = shortest_homing(CREEPING, drive=drive, within=seconds)
     assert homing.played.duration <= seconds + 0.021
     assert homing.spread > shortest_homing(CREEPING, drive=drive).spread
-    with pytest.raises(RecordError, match="home_within"):
-        shortest_homing(CREEPING, drive=replace(drive, slew_rate=100.0), within=2.0)
+
+
+@pytest.mark.parametrize("wanted", [np.linspace(0.3, 0.6, 50), np.linspace(0.95, 0.1, 50)])
+def test_the_least_time_that_a_refused_homing_names_suffices(wanted):
+    time, actuator = 0.02 * np.arange(50), with_identification(CREEPING, slew_rate=100.0)
+    given = actuator, wanted * plain_records.STROKE
+    with pytest.raises(RecordError) as refused:
+        plan_path(*given, time=time, home=True, home_within=0.1)
+    assert refused.value.argument == "home_within"
+    least = float(refused.value.need.split()[0])
+    assert 0.99 * least <= plan_path(*given, time=time, home=True, home_within=least).seconds <= least
+    with pytest.raises(RecordError):
+        plan_path(*given, time=time, home=True, home_within=0.98 * least)
+
+
+def test_limits_that_a_path_does_not_need_have_no_effect_on_its_homing():
+    wanted, time = np.linspace(0.3, 0.6, 200) * plain_records.STROKE, np.arange(200) * 0.02
+    plans = [plan_path(CREEPING, wanted, time=time, limits=limits) for limits in (None, (-100, 260), (-300, 800))]
+    for plan in plans[1:]:
+        np.testing.assert_array_equal(plan.voltage, plans[0].voltage)
+        assert plan.promise == plans[0].promise and plan.error.largest == plans[0].error.largest
+    far = plan_path(CREEPING, 1.1 * plain_records.STROKE + 0 * wanted, time=time, limits=(-300, 800))
+    assert far.seconds > plans[0].seconds
 
 
 def test_a_long_homing_is_remarked_and_a_shorter_one_is_kept_to():

@@ -26,14 +26,17 @@ def _shown(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else escaped(repr(value))
 
 
-def ends(low: float, high: float, unit: str) -> str:
-    """Return an interval as text, with decimals down to a thousandth of its width: "-0.003 to 16.154 um"."""
-    width = abs(high - low)
+def place(value: float, width: float) -> str:
+    """Return a number of a range as text, with decimals down to a thousandth of its `width`: "16.15", "0"."""
     decimals = min(12, max(0, 3 - floor(log10(width)))) if 0 < width < inf else 6
-    written = [f"{end:.{decimals}f}" if abs(end) < 1e15 else f"{end:.6g}" for end in (low, high)]
-    # Without zeros at the end, and without a minus before nothing.
-    low_, high_ = (str(float(text)).removesuffix(".0") if "e" not in text else text for text in written)
-    return f"{low_.removeprefix('-') if float(low_) == 0 else low_} to {high_} {unit}"
+    # Adding 0 leaves no minus before 0.
+    return f"{round(value, decimals) + 0.0:.15g}"
+
+
+def ends(low: float, high: float, unit: str = "") -> str:
+    """Return a range as text, see `place`: "0 to 16.15 um"; one number if this range has no width."""
+    written = [place(end, high - low) for end in (low, high)]
+    return f"{' to '.join(dict.fromkeys(written))} {unit}".rstrip()
 
 
 def span_of(values: Array, unit: str, factor: float = 1.0) -> str:
@@ -43,13 +46,14 @@ def span_of(values: Array, unit: str, factor: float = 1.0) -> str:
     return ends(float(values.min()) * factor, float(values.max()) * factor, unit)
 
 
-def length(metres: float) -> str:
-    """Return a length as text in um, or in nm below 1 um."""
-    return f"{metres * 1e9:.3g} nm" if abs(metres) < 1e-6 else f"{metres * 1e6:.4g} um"
+def length(metres: float, *unlike: float) -> str:
+    """Return a length as text in um, or in nm below 1 um, see `digits`."""
+    unit, size, count = ("nm", 1e-9, 3) if abs(metres) < 1e-6 else ("um", 1e-6, 4)
+    return f"{digits(metres / size, count, *(other / size for other in unlike))} {unit}"
 
 
-def percent(part: float, whole: float) -> str:
-    """Return a ratio as text in percent with two digits; "not known" if it is not a number."""
+def percent(part: float, whole: float, *unlike: float, goal: float = inf) -> str:
+    """Return a ratio as text in percent; `unlike` are other parts and `goal` [%] is another ratio, as in `digits`."""
     if not (whole > 0 and np.isfinite(part)):
         return "not known"
-    return f"{digits(100 * part / whole)} %"
+    return f"{digits(100 * part / whole, 2, goal, *(100 * other / whole for other in unlike))} %"

@@ -11,6 +11,7 @@ import numpy as np
 
 from dehyst._errors import FileFormatError
 from dehyst._io import PathLike
+from dehyst._text import digits
 from dehyst._types import Array
 from dehyst._version import __version__
 from dehyst._views.fields import json_values
@@ -74,10 +75,9 @@ class Calibration:
         for axis, path in zip(self.compensated.axes or ("",), self.compensated.each, strict=True):
             if path.largest_percent > self.goal:
                 subject = f"Axis {axis} followed the path" if axis else "The path was followed"
-                missed.append(
-                    f"{subject} to {path.largest_percent:.3g} % of the stroke, the goal is {self.goal:g} %; look at "
-                    "the report's residuals, record at the speed of use (--frequency), or allow more with --goal."
-                )
+                far = f"{subject} to {digits(path.largest_percent, 3, self.goal)} % of the stroke, the goal is"
+                advice = "record at the speed of use (--frequency), or allow more with --goal."
+                missed.append(f"{far} {self.goal:g} %; look at the report's residuals, {advice}")
         unused = [f"Not used, because cut off, damaged or of another plan: {path}." for path in self.aside]
         return (*first, *self.remarks, *missed, *unused)
 

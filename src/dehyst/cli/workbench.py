@@ -21,7 +21,7 @@ _FOLDER = click.Path(path_type=Path)
 def workbench(
     run: Run,
     folder: Path = argument(_FOLDER, required=False, default="dehyst-workbench"),
-    port: int | None = option("0: any that is free; default: 8754, or any.", int),
+    port: int | None = option("0: any that is free; default: 8754, or any.", click.IntRange(0, 65535)),
     browser: bool = option("Open the page.", words="--browser/--no-browser", default=True),
 ) -> Result:
     """Open the workbench in a browser: drop a record, identify, draw a path, get the voltage.

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from dehyst._errors import DehystError, ModelError
 from dehyst._types import Array, Mask
 from dehyst._validation import interval, keep, number, untimely, vector
+from dehyst._views.lines import ends
 from dehyst.model import Actuator, Range, major_loop, voltage_error
 
 # The hint in errors about a missing time of the samples.
@@ -22,7 +23,7 @@ TIME_NEEDED = "give the time [s] of each sample, or the period [s] between them"
 # Share of the reach: a path in another unit than metres that is smaller is likely one in metres.
 _TINY = 1e-6
 # Voltages farther outside of the identified range than this part of it were not covered by the records.
-_FAR = 0.1
+_FAR, _NOISE = 0.1, 1e-3
 # Shares of the reach: what a sensor may correct, by default and at most.
 _BOUND, _WIDEST = 0.05, 0.25
 
@@ -45,13 +46,13 @@ class VoltageLimits:
         if self.slew_rate is not None:
             slew_rate = number(self.slew_rate, "slew_rate")
             if slew_rate <= 0:
-                raise ModelError(argument="slew_rate", got=self.slew_rate, need="a positive number of volts a second")
+                raise ModelError(argument="slew_rate", got=f"{slew_rate:g}", need="a positive number of volts a second")
             keep(self, slew_rate=slew_rate)
 
     @property
     def words(self) -> str:
         """The limits as text, for a sentence."""
-        return f"{self.low:.6g} to {self.high:.6g} V"
+        return ends(self.low, self.high, "V")
 
     def nearest(self, voltage: float) -> float:
         """Return the `voltage` [V], or the limit that it exceeds."""
@@ -120,7 +121,7 @@ class VoltageLimits:
 
 @dataclass(frozen=True)
 class Outside:
-    """Voltages outside of the identified range: their number, whether one lies far outside, and warnings."""
+    """Voltages outside of those of the records: their number, whether one lies far outside, and warnings."""
 
     count: int = 0
     far: bool = False
@@ -135,7 +136,7 @@ def outside_identified(
     name: str = "",
     refuse: bool = True,
 ) -> Outside:
-    """Find which voltages (n,) [V] lie outside of the identified range of a model.
+    """Find which voltages (n,) [V] lie outside of the records of a model, by more than a thousandth of their range.
 
     A voltage is far outside if it exceeds the range by more than a tenth of its width: there the model is a straight
     line without measurements. With `refuse`, raise `ModelError` if a voltage lies outside of the range and `limits` by
@@ -146,21 +147,21 @@ def outside_identified(
         return Outside()
     low, high = actuator.limits
     identified = Range(low, high)
-    ends = identified.joined(*([] if limits is None else [limits])).far_ends(voltage) if refuse else None
-    if ends is not None:
-        raise ModelError(f"{head}{voltage_error(ends, identified)}")
+    strays = identified.joined(*([] if limits is None else [limits])).far_ends(voltage) if refuse else None
+    if strays is not None:
+        raise ModelError(f"{head}{voltage_error(strays, identified)}")
     beyond = np.maximum(low - voltage, voltage - high)
-    count = int(np.count_nonzero(beyond > 0))
+    count = int(np.count_nonzero(beyond > _NOISE * (high - low)))
     if not count:
         return Outside()
     warning = (
-        f"{head}{count} of {voltage.size} voltages lie outside the identified range {low:.6g} to {high:.6g} V: "
+        f"{head}{count} of {voltage.size} voltages lie outside those of the records, {ends(low, high, 'V')}: "
         "extrapolated"
     )
     far = float(beyond.max()) > _FAR * (high - low)
     if far:
         warning += (
-            f", and far: {float(voltage[int(np.argmax(beyond))]):.6g} V lies {float(beyond.max()):.6g} V beyond, "
+            f", and far: {float(voltage[int(np.argmax(beyond))]):.5g} V lies {float(beyond.max()):.4g} V beyond, "
             f"more than {100 * _FAR:.0f} % of the range. Nothing was measured there: record these voltages and "
             "identify again"
         )

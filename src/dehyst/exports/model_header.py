@@ -98,13 +98,13 @@ class ExportedStart(NamedTuple):
     @property
     def words(self) -> str:
         """Displacement and voltage."""
-        return f"{self.displacement * 1e6:.6g} um, {self.voltage:.6g} V"
+        return f"{self.displacement * 1e6:.5g} um, {self.voltage:.5g} V"
 
 
 def _way(actuator: Actuator, state: State, voltage: float, limits: tuple[float, float]) -> str:
     """Describe the slow voltage that leads to the state; the text contains no times."""
     strain, most = state.deformation - state.carts, actuator.slip.breakaway
-    end = f"{voltage:.6g} V"
+    end = f"{voltage:.5g} V"
     rest = " and wait until creep has come to rest" if actuator.displacement_creep is not None else ""
     if np.allclose(strain, most, rtol=1e-9, atol=0):
         return f"raise the voltage slowly from its lowest, never back, to {end}{rest}"
@@ -116,7 +116,7 @@ def _way(actuator: Actuator, state: State, voltage: float, limits: tuple[float, 
     for limit, rising in ((low, False), (high, True)):
         near = abs(voltage - limit) <= NEAR * (high - low)
         if near and np.allclose(looped(actuator, limits, rising=rising).carts, state.carts, rtol=0, atol=_SAME_CARTS):
-            return f"swing the voltage slowly between {low:.6g} and {high:.6g} V, twice, and end at {limit:.6g} V{rest}"
+            return f"swing the voltage slowly between {low:.5g} and {high:.5g} V, twice, and end at {limit:.5g} V{rest}"
     return f"play the voltages that lead to this state, for instance a homing, down to the last one, {end}"
 
 

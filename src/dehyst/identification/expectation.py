@@ -104,7 +104,8 @@ class Expectation:
     def headline(self) -> str:
         """The verdict, with the largest and the RMS error to expect."""
         largest, rms = (
-            f"{percent(error, self.stroke)} of the stroke ({length(error)})" for error in (self.largest, self.rms)
+            f"{percent(error, self.stroke, goal=self.goal)} of the stroke ({length(error)})"
+            for error in (self.largest, self.rms)
         )
         verdict = self.readiness.value.capitalize()
         return f"{verdict}: expect an error of {largest} at most on a path, {rms} RMS, {self.promise.apart}"
@@ -259,7 +260,7 @@ def expectation(
         reasons.append(f"{100 * aside:.0f} % of the samples were left out")
     drifted = max(abs(error.drifted_percent) for error in errors)
     if drifted > goal:
-        reasons.append(f"a drift of {percent(drifted, 100)} was removed, which will also occur on a path")
+        reasons.append(f"a drift of {percent(drifted, 100, goal=goal)} was removed, which will also occur on a path")
     if outcome is Outcome.UNDETERMINED:
         reasons.append("the records do not determine all stiffnesses")
     failed = [f"{check.name} ({REMEDIES[check.name]})" for check in checks if check.verdict is Verdict.FAILS]

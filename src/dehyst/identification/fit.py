@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from dehyst._text import escaped, to_know
+from dehyst._text import counted, escaped
 from dehyst._views.fields import json_values
 from dehyst._views.lines import length, percent
 from dehyst._views.pictures import Plotted
@@ -60,10 +60,8 @@ class Fit(Plotted):
     remaining: tuple[RemainingError, ...] = ()
 
     def __repr__(self) -> str:
-        records = ", ".join(f"'{escaped(error.record)}'" for error in self.errors[:3])
-        more = f" and {len(self.errors) - 3} more" if len(self.errors) > 3 else ""
         verdict = f"{self.promise.readiness.value}; {self.promise.promise!r}"
-        return f"<Fit of {records or 'no record'}{more}: {verdict}; {self.outcome.name}>"
+        return f"<Fit of {counted(len(self.errors), 'record')}: {verdict}; {self.outcome.name}>"
 
     def __str__(self) -> str:
         return escaped(self.promise.sentence)
@@ -106,12 +104,12 @@ class Fit(Plotted):
 
 
 _HEAD = ("record", "role", "samples", "left out", "largest with noise, % stroke", "RMS, % of stroke", "largest", "RMS")
-# Number of candidates in a summary.
-_SHOWN = 5
+# Entries of a list in a summary.
+_SHOWN = 3
 
 
 def _brief(fit: Fit) -> Iterator[str]:
-    """Yield the error to expect, what it comes from, at most three things to know, and how many more there are."""
+    """Yield the error to expect, what it comes from, and at most three things to know."""
     verdict = fit.promise
     yield f"{verdict.headline}."
     yield verdict.origin
@@ -120,7 +118,8 @@ def _brief(fit: Fit) -> Iterator[str]:
     # Remarks name causes, such as the voltage of another axis: of a model that is of no use they come first.
     usable = verdict.readiness is not Readiness.NOT_USABLE
     things = verdict.reservations + fit.remarks if usable else fit.remarks + verdict.reservations
-    yield from to_know([*ended, *things, *fit.repairs])
+    if first := [*ended, *things, *fit.repairs][:_SHOWN]:
+        yield from ("", *(f"  - {sentence}" for sentence in first))
 
 
 def _lines(fit: Fit) -> Iterator[str]:

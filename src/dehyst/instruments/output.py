@@ -291,7 +291,7 @@ def common_limits(device: VoltageLimits, limits: tuple[float, float] | None, sle
     given = VoltageLimits(*((device.low, device.high) if limits is None else limits), slew_rate)
     low, high = max(device.low, given.low), min(device.high, given.high)
     if not low + _LEAST_RANGE <= high:
-        hint = f"nothing is left, give others, {_LEAST_RANGE:g} V apart at least"
+        hint = f"give limits that have {_LEAST_RANGE:g} V or more in common with those of the device"
         raise RigError(f"got {given.words}, but the device has {device.words}", argument="limits", hint=hint)
     rates = [rate for rate in (device.slew_rate, slew_rate) if rate is not None]
     rate = min(rates, default=(high - low) / _SHORTEST_SWEEP)

@@ -286,7 +286,7 @@ class Promise:
     @property
     def sentence(self) -> str:
         """The promise in words, errors in percent of the stroke."""
-        largest, rms_ = (percent(error, self.stroke) for error in (self.largest, self.rms))
+        largest, rms_ = (percent(error, self.stroke, goal=USELESS) for error in (self.largest, self.rms))
         return f"Expect {self.path} to be missed by {largest} of the stroke at most and {rms_} RMS, {self.apart}."
 
     @property

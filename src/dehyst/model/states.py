@@ -13,6 +13,7 @@ from dehyst._errors import ModelError
 from dehyst._native import EMPTY
 from dehyst._types import Array
 from dehyst._validation import number
+from dehyst._views.lines import ends
 from dehyst.model.base import AbstractModel, Motion, State
 from dehyst.records import Record
 
@@ -44,8 +45,8 @@ def demand_recorded(actuator: Actuator) -> None:
     if allowed.joined(actuator.limits) != allowed:
         raise ModelError(
             argument="limits",
-            got=f"{_ends(*actuator.limits)} V",
-            need=f"{_ends(*allowed)} V or less, as the model was identified from {_ends(*recorded)} V",
+            got="{:.6g} to {:.6g} V".format(*actuator.limits),
+            need=f"{allowed.low:.6g} to {allowed.high:.6g} V or less, as the records have {ends(*recorded, 'V')}",
             hint="give wider limits where a path is planned, or record these voltages and identify again",
         )
 
@@ -124,26 +125,22 @@ def displacement_error(got: tuple[float, float], displacements: Range) -> str:
     """Return the error for displacements [m] far outside of the range of a model."""
     width = displacements.high - displacements.low
     ratio = max(map(abs, got)) / max(abs(displacements.low), abs(displacements.high), width)
-    reaches = f"the model reaches {_ends(1e6 * displacements.low, 1e6 * displacements.high, 4)} um"
+    reaches = f"the model reaches {ends(1e6 * displacements.low, 1e6 * displacements.high, 'um')}"
     if ratio <= _UNITS[0][0]:
         return (
-            f"displacement: got {_ends(1e6 * got[0], 1e6 * got[1])} um, {reaches}; both count from the sensor's zero "
+            f"displacement: got {ends(1e6 * got[0], 1e6 * got[1], 'um')}, {reaches}; both count from the sensor's zero "
             "in the records that it was identified from"
         )
     unit = [name for least, name in _UNITS if ratio > least][-1]
-    return f"displacement: got {_ends(*got)} m, {reaches}; is this in {unit}? Need metres"
+    return f"displacement: got {ends(*got, 'm')}, {reaches}; is this in {unit}? Need metres"
 
 
 def voltage_error(got: tuple[float, float], identified: Range) -> str:
     """Return the error for voltages [V] far outside of the identified range of a model."""
     return (
-        f"voltage: got {_ends(*got)} V, the model was identified from {_ends(identified.low, identified.high)} V; "
+        f"voltage: got {ends(*got, 'V')}, the records of the model have {ends(*identified, 'V')}; "
         "check the unit, and that the model is of this actuator"
     )
-
-
-def _ends(low: float, high: float, digits: int = 6) -> str:
-    return f"{low:.{digits}g}" if low == high else f"{low:.{digits}g} to {high:.{digits}g}"
 
 
 def stroke_of(actuator: Actuator) -> float:

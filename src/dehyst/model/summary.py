@@ -9,7 +9,7 @@ import numpy as np
 
 from dehyst._text import counted, digits, escaped
 from dehyst._types import Array
-from dehyst._views.lines import length, span_of
+from dehyst._views.lines import ends, length
 from dehyst.model.actuator import Actuator
 from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer, segment_of
@@ -163,23 +163,24 @@ def _seconds(time: float) -> str:
     return f"{time:.3g} s" if time < 1000 else f"{time:.0f} s"
 
 
-def _ranges(actuator: Actuator, unit: str = "um") -> tuple[str, str, str]:
-    """Return the limits, the displacements of the spring's knots, and their range, in words."""
-    limits = "no voltage limits" if actuator.limits is None else "{:.4g} to {:.4g} V".format(*actuator.limits)
-    knots = actuator.spring.displacement[[0, -1]]
-    return limits, span_of(knots, unit, 1e6), f"a range of {length(float(np.ptp(knots)))}"
+def _ranges(actuator: Actuator) -> tuple[str, str]:
+    """Return the limits and the stroke in words; without its records the stroke is the range of the spring's knots."""
+    limits, known = actuator.limits, actuator.identification
+    within = np.ptp(actuator.spring.displacement) if known is None or known.validity is None else known.validity.stroke
+    return "no voltage limits" if limits is None else ends(*limits, "V"), f"stroke {length(float(within))}"
 
 
 def one_line(actuator: Actuator) -> str:
-    """Return name, parts, voltages and displacements in one line, without computations that could fail."""
+    """Return name, parts, voltages and stroke in one line, without computations that could fail."""
     graded = "graded " if isinstance(actuator.slip, GradedSlip) else ""
     further = [words for name, (words, _) in _FURTHER.items() if words and getattr(actuator, name) is not None]
     parts = ", ".join([f"{graded}{counted(len(actuator.slip), 'slip element')}", *further])
-    return "<Actuator '{}': {}, {}, {}>".format(escaped(actuator.name), parts, *_ranges(actuator)[:2])
+    return "<Actuator '{}': {}, {}, {}>".format(escaped(actuator.name), parts, *_ranges(actuator))
 
 
 def lines(actuator: Actuator) -> Iterator[str]:
-    """Yield the lines of a summary: ranges, then each part with its sentence."""
-    yield "{}: {}, {} ({})".format(escaped(actuator.name), *_ranges(actuator))
+    """Yield the lines of a summary: voltages, stroke and reach, then each part with its sentence."""
+    low, high = actuator.reach
+    yield "{}: {}, {}, reach {}".format(escaped(actuator.name), *_ranges(actuator), ends(1e6 * low, 1e6 * high, "um"))
     for part in parts_of(actuator):
         yield f"  {part.name + ':':<17} {part.sentence}"

@@ -22,6 +22,7 @@ from dehyst.operations.run import Run
 from dehyst.records import Record, Table, read, table_of
 from dehyst.records.columns import columns_of_axis
 from dehyst.records.files import record_of
+from dehyst.records.formats.column import listed
 from dehyst.records.tables import ColumnError, chosen
 
 Limits = tuple[float, float] | None
@@ -53,7 +54,11 @@ class OfAxes:
         found: dict[str, Any] = {}
         for axis, value in self.given:
             if axis in found:
-                raise ModelError(argument=self.name, got=f"{axis or 'one for all axes'} twice", need="one")
+                raise ModelError(
+                    argument=self.name,
+                    got=f"{f'the axis {axis}' if axis else 'one for all axes'} twice",
+                    need="it once",
+                )
             if axis and axis not in axes:
                 known = f"one of {', '.join(axes)}" if any(axes) else "none, as there is one axis"
                 raise ModelError(argument=self.name, got=f"the axis {axis}", need=known)
@@ -234,6 +239,6 @@ class AxesModel:
             try:
                 found.append(table.column(quantity, name))
             except ColumnError as error:
-                hint = f'{error.hint.rstrip(".")}. Give the column as "{axis}=NAME"'
+                hint = f'the file holds {listed(table.names)}. Give the column as "{axis}=NAME"'
                 raise FileFormatError(f"axis {axis}: {error.message}", hint=hint, change=("columns",)) from error
         return np.column_stack(found)

@@ -12,7 +12,6 @@ import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from enum import Enum
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +26,9 @@ Values = Mapping[str, Any]
 Condition = Callable[[Values], str]
 # Returns the parameter of this name.
 Declaration = Callable[[str], click.Parameter]
-# The key of --columns for an argument of the library.
+# The key of --columns for an argument of the library, and arguments that are parts of it.
 _KEYS = {"time": "time=NAME", "sample_rate": "rate=HZ", "columns": "KEY=VALUE"}
+_PARTS = ("axes", "rate", "decimal")
 # Options of the command line, which are not given to the function.
 HOUSE = {"force": "--force", "details": "--verbose", "as_json": "--json"}
 
@@ -101,8 +101,9 @@ class Parsed(click.ParamType):  # type: ignore[type-arg]
             return value
         try:
             return self.kind.parse(value)
-        except (ValueError, DehystError) as error:
-            self.fail(str(error), param, ctx)
+        except DehystError as error:
+            error.argument = "" if param is None or error.argument == param.name else error.argument
+            self.fail(error.text(), param, ctx)
 
 
 def beside(name: str) -> Condition:
@@ -213,7 +214,17 @@ def command(
     return made
 
 
-kinds = partial(click.Group, no_args_is_help=True)
+class Kinds(click.Group):
+    """A command of several kinds, each with options of its own."""
+
+    def __init__(self, name: str, **settings: Any) -> None:
+        super().__init__(name, no_args_is_help=True, subcommand_metavar="KIND ...", **settings)
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        """Find the command of a kind; name all kinds if there is none."""
+        if args[0] not in self.commands:
+            ctx.fail(f"got {args[0]!r}, need a kind of {ctx.info_name}: {', '.join(self.commands)}")
+        return super().resolve_command(ctx, args)
 
 
 def argument_of(error: click.UsageError) -> str:
@@ -229,7 +240,7 @@ def error_text(ctx: click.Context, error: DehystError) -> str:
     def named(argument: str) -> str:
         parameter = parameters.get(argument)
         if parameter is None:
-            return HOUSE.get(argument, argument)
+            return "--columns" if argument in _PARTS and "columns" in parameters else HOUSE.get(argument, argument)
         off = parameter.secondary_opts if ctx.params.get(argument) is False else []
         return argument.upper() if isinstance(parameter, click.Argument) else (off or parameter.opts)[-1]
 
@@ -240,7 +251,17 @@ def error_text(ctx: click.Context, error: DehystError) -> str:
         key = _KEYS.get(argument)
         return f"--columns {key}" if key and "columns" in parameters else named(argument) if parameter else ""
 
+    if isinstance(given := ctx.params.get(error.argument), float) and _is_number(error.got):
+        # As it was given, not in SI units.
+        error.got = f"{given:g}"
     return error.text(named, way)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from dehyst._errors import ModelError, RecordError, of_part
 from dehyst._io import write_atomically
 from dehyst._text import counted, escape
 from dehyst._types import Array
+from dehyst._views.lines import span_of
 from dehyst.control import PathPlan, WaveTable, plan_path, wave_table
 from dehyst.model import USELESS, Actuator, voltages_of
 from dehyst.operations import start as starts
@@ -69,7 +70,9 @@ def compensate(
     with --table also if a voltage is clamped or the cycle is not settled.
     """
     if start is not None and home:
-        raise ModelError(argument="start", got="it with --home, which determines the state", hint="leave one out")
+        raise ModelError(
+            argument="start", got=f"{start} with --home, after which the state is known", need="one of them"
+        )
     known = AxesModel.read(run, model)
     if on_time is not None and not any(actuator.delay for actuator in known.actuators):
         raise ModelError("has no effect on a model without a delay", argument="on_time", hint="leave it out")
@@ -130,7 +133,7 @@ def _answer(
     urgent += known.prefixed([plan.failure] if plan.failure else [] for plan in plans)
     others = [*remarks, *(sentence for sentence in said if sentence not in {*urgent, *reasons})]
     told = {**known.merged([_numbers(*axis[:4]) for axis in axes]), "warnings": [*urgent, *reasons, *others]}
-    spans = (f"{plan.voltage.min():.6g} to {plan.voltage.max():.6g} V" for plan in plans)
+    spans = (span_of(plan.voltage, "V") for plan in plans)
     words = known.prefixed(
         [f"{span} {starts.begin_words(actuator, plan, limits, now)}"]
         for span, (actuator, plan, limits, _, now) in zip(spans, axes, strict=True)
@@ -174,7 +177,7 @@ def _period_of(path: Path, wanted: Array, clock: Mapping[str, Array], warmth: Ar
     if warmth is not None:
         raise ModelError(argument="table", got="a path with temperatures", need="one without: it is at the reference")
     if not clock:
-        raise RecordError(argument="table", got="no times", need="a time of each sample", hint="--columns rate=HERTZ")
+        raise RecordError(argument="table", got="no times", need="a time of each sample", hint="give --columns rate=HZ")
     even_rate(path, clock["time_s"])
     wanted = check.vector(wanted, "displacement")
     if abs(wanted[-1] - wanted[0]) > _CLOSED * float(np.ptp(wanted)):

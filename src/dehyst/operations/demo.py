@@ -82,9 +82,10 @@ def demo(run: Run, output: Path = output("New or empty folder.", FOLDER, default
     """Record, identify, compensate and verify on an embedded virtual actuator."""
     from dehyst.report import write_report
 
+    target = made_folder(output)
     found = journey(run.progress)
     run.progress("writing")
-    target, numbers = made_folder(output), found.as_dict()
+    numbers = found.as_dict()
     for record in found.records:
         write_record(target / f"{record.name}.csv", record)
     found.fit.actuator.save(target / "model.json")

@@ -11,6 +11,7 @@ import click
 
 from dehyst._errors import ModelError
 from dehyst._views.fields import json_values
+from dehyst._views.lines import ends
 from dehyst.control import Axis, Compensator
 from dehyst.exports.fmu import ANY_VOLTAGE, SourceOnlyWarning
 from dehyst.exports.model_header import ExportedStart
@@ -96,6 +97,6 @@ def _remarks(axis: Axis) -> Iterator[str]:
     least, most = axis.actuator.limits or (low, high)
     if (low, high) != ANY_VOLTAGE and not least <= low <= high <= most:
         yield (
-            f"limits: {low:.6g} to {high:.6g} V is used, but the model's records cover {least:.6g} to {most:.6g} V: "
+            f"limits: {ends(low, high, 'V')} is used, but the records of the model have {ends(least, most, 'V')}: "
             "outside, the model is extrapolated"
         )

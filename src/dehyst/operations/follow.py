@@ -54,13 +54,13 @@ def follow(
     voltage of the path was clamped, the error exceeds the promise, or the sensor is not believed.
     """
     if learn and feedback:
-        raise ModelError(argument="learn", got="it with feedback", need="one of them")
+        raise ModelError(argument="learn, feedback", got="both", need="one of them")
     known = AxesModel.read(run, model)
     if feedback and known.stage is not None:
         raise ModelError(argument="feedback", got="a model of several axes", need="one axis", hint="try --learn")
     wanted, warmth, clock = read_path(known, path, columns, zero, remark=run.note)
     if not clock:
-        raise RecordError(argument="path", got="no times", need="a time of each sample", hint="--columns rate=HERTZ")
+        raise RecordError(argument="path", got="no times", need="a time of each sample", hint="give --columns rate=HZ")
     rate = even_rate(path, clock["time_s"])
     if feedback and rate > HIGHEST_RATE * (1 + _RATES):
         hint = "give a slower path, or --learn"

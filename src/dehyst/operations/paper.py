@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from dehyst._io import made_folder
 from dehyst.operations.command import FOLDER, command, output
 from dehyst.operations.run import Result, Run
 from dehyst.paper import Paper
@@ -24,6 +25,7 @@ def paper(
     output: Path = output("New or empty folder.", FOLDER, default="dehyst-paper"),
 ) -> Result:
     """Repeat the experiment of the paper on a virtual actuator: its tables and its figures of results."""
+    made_folder(output)
     result = experiment.run(run.progress)
     written = experiment.write(result, output, run.progress)
     lines = [*_table(result), f"Written to {output}/: open index.html"]

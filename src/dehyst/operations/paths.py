@@ -10,6 +10,7 @@ import numpy as np
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._text import counted
 from dehyst._types import Array
+from dehyst._views.lines import ends
 from dehyst.control import Compensator, VoltageLimits
 from dehyst.control.limits import unit_hint
 from dehyst.model import Actuator, Promise, demand_thermal, tested_temperatures
@@ -34,7 +35,7 @@ def bounds_remarks(limits: Limits, slew_rate: float | None, used: VoltageLimits,
     """Return remarks if narrower limits [V] or a lower slew rate [V/s] than given are used, because of `who`."""
     remarks = []
     if limits is not None and limits != (used.low, used.high):
-        remarks.append(f"limits: {limits[0]:.6g} to {limits[1]:.6g} V was given, {used.words} is used, as {who}")
+        remarks.append(f"limits: {ends(*limits, 'V')} was given, {used.words} is used, as {who}")
     if slew_rate is not None and used.slew_rate is not None and used.slew_rate < slew_rate:
         remarks.append(f"slew rate: {slew_rate:.6g} V/s was given, {used.slew_rate:.6g} V/s is used, as {who}")
     return remarks
@@ -104,22 +105,22 @@ def reach_remarks(
         words = dict.fromkeys(f"{end:.4g}" for end in (np.min(temperature), np.max(temperature)))
         degrees = f" at {' to '.join(words)} degC"
     low, high, least, most = (1e6 * float(end) for end in (lows.max(), highs.min(), wanted.min(), wanted.max()))
-    reached = f"the model reaches {low:.4g} to {high:.4g} um{degrees}, from the sensor's zero in its records"
+    reached = f"the model reaches {ends(low, high, 'um')}{degrees}, from the sensor's zero in its records"
     fits = most - least <= high - low
     advice = "choose another --zero" if fits else "choose a smaller path"
     if fits and zero is None:
         advice = f"--zero {0.5 * (low + high - least - most):.4g} puts it into the middle"
     if compensator._axes[0].strays(cold):
         hint = f"check the numbers and their unit{f', or {advice}' if fits else ''}"
-        raise ModelError(f"got {least:.6g} to {most:.6g} um, {reached}", argument="displacement", hint=hint)
+        raise ModelError(f"got {ends(least, most, 'um')}, {reached}", argument="displacement", hint=hint)
     from_zero = 1e6 * wanted - (0.0 if zero is None else least)
     if hints := unit_hint("um", (low, high), from_zero):
         return [*hints]
     margin = _ROUNDING * 1e-6 * (high - low)
     if np.all((lows - margin <= wanted) & (wanted <= highs + margin)):
         return []
-    volts = "{:.5g} to {:.5g} V".format(*compensator.limits)
-    return [f"the path covers {least:.6g} to {most:.6g} um, with {volts} {reached}; {advice}"]
+    volts = ends(*compensator.limits, "V")
+    return [f"the path covers {ends(least, most, 'um')}, with {volts} {reached}; {advice}"]
 
 
 def closed_path(wanted: Array) -> Array:

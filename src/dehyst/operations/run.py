@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from dehyst._errors import FileFormatError, Terminated
-from dehyst._io import demand_own_folder
+from dehyst._io import demand_own_folder, draft_of, unwritten
 from dehyst.operations.command import HOUSE, OperationError, Role, command_of, given_in, naming_options, paths_in
 
 # Formats of models, of one axis and several.
@@ -122,7 +122,8 @@ class Result:
 def perform(ctx: click.Context, run: Run) -> Result:
     """Run the operation of a command with the values in its context.
 
-    Raise `DehystError` if a parameter has no effect, an output is an input or exists, or as the operation does.
+    Raise `DehystError` if a parameter has no effect, if an output is an input, exists or cannot be written, or as the
+    operation does. So no result is lost because of its place.
     """
     given, values = given_in(ctx), {name: value for name, value in ctx.params.items() if name not in HOUSE}
     run.command, run.force = command_of(ctx), bool(ctx.params.get("force"))
@@ -136,8 +137,10 @@ def perform(ctx: click.Context, run: Run) -> Result:
     if run.force and not outputs and not folders and not continued:
         raise OperationError("has no effect without an output", argument="force", hint="leave it out")
     demand_outputs(paths_in(ctx, Role.INPUT), outputs, continued, force=run.force)
-    for folder in filter(Path.is_dir, folders):
-        demand_own_folder(folder, "", "", force=run.force)
+    for folder in folders:
+        if folder.is_dir():
+            demand_own_folder(folder, "", "", force=run.force)
+        demand_writable(folder)
     assert ctx.command.callback is not None
     with naming_options(ctx):
         result: Result = ctx.command.callback(run, **values)
@@ -157,6 +160,7 @@ def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path], kept: Sequen
             raise FileFormatError("-: is no name of a file, and standard output holds the summary; name a file")
         if any(_same(output, path) for path in before):
             raise FileFormatError(f"{output}: is also an input of this command; give another name for the output")
+        demand_writable(output)
         if output in kept:
             continue
         if os.path.isdir(output):  # noqa: PTH112 (Path.is_dir raises an error for a name that is too long)
@@ -166,6 +170,22 @@ def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path], kept: Sequen
         # A device such as /dev/null, and a pipe, are written to.
         if os.path.isfile(output) and not force:  # noqa: PTH113
             raise FileFormatError(f"{output}: is there already; give another name, or --force to replace it")
+
+
+def demand_writable(path: Path) -> None:
+    """Raise `FileFormatError` unless a file can be made at a path, or in the nearest folder above that exists."""
+    place = Path(os.path.realpath(path))
+    try:
+        # A device such as /dev/null, and a pipe, are written to.
+        if place.exists() and not place.is_dir() and not place.is_file():
+            return
+        while not place.is_dir():
+            place = place.parent
+        draft = draft_of(place / "draft")
+        draft.touch(exist_ok=False)
+        draft.unlink()
+    except OSError as error:
+        raise unwritten(path, error) from error
 
 
 def _same(first: Path, second: Path) -> bool:

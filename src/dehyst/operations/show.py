@@ -14,6 +14,7 @@ from dehyst._errors import RecordError
 from dehyst._io import format_of
 from dehyst._text import counted, digits
 from dehyst._types import Array
+from dehyst._views.lines import ends, span_of
 from dehyst.operations.command import OUTPUT, Values, argument, command, option, output
 from dehyst.operations.files import AS_COLUMNS, AS_FOUND, RECORD, Columns, is_model
 from dehyst.operations.run import Result, Run, files
@@ -78,9 +79,9 @@ def _column_lines(table: Table) -> Iterator[str]:
     width = max(6, *(min(len(column.name), 60) for column in table.columns))
     yield f"  {'column':<{width}}  {'unit':<8}range"
     for column in table.columns:
-        span, missing = " to ".join(f"{end:.6g}" for end in _span(column.data)), np.sum(~np.isfinite(column.data))
+        span, missing = _span(column.data), np.sum(~np.isfinite(column.data))
         lost = f"{counted(missing, 'value')} not finite" if missing else ""
-        words = column.fault or ", ".join(filter(None, (span, lost)))
+        words = column.fault or ", ".join(filter(None, (span and ends(*span), lost)))
         yield f"  {column.name[:60]:<{width}}  {(column.parts[1] or '-')[:7]:<8}{words}"
 
 
@@ -107,12 +108,12 @@ class _AxisView:
         (v0, v1), (y0, y1) = record.voltage_range, _span(record.displacement * 1e6)
         noise = "" if record.measured is not None else f", noise {digits(record.noise * 1e9)} nm"
         ranges = {
-            "time": f"{record.time[0]:.6g} to {record.time[-1]:.6g} s, {1 / record.sample_time:.6g} Hz",
-            "voltage": f"{v0:.5g} to {v1:.5g} V, {counted(len(record.cycles()), 'cycle')}",
-            "displacement": f"{y0:.5g} to {y1:.5g} um: {record.stroke * 1e6:.4g} um{noise}",
+            "time": f"{ends(record.time[0], record.time[-1], 's')}, {1 / record.sample_time:.6g} Hz",
+            "voltage": f"{ends(v0, v1, 'V')}, {counted(len(record.cycles()), 'cycle')}",
+            "displacement": f"{ends(y0, y1, 'um')}{noise}",
         }
         for channel in record.others:
-            ranges[channel.name] = f"{channel.values.min():.5g} to {channel.values.max():.5g} {channel.unit}"
+            ranges[channel.name] = span_of(channel.values, channel.unit)
         return [(quantity, origin(quantity), words) for quantity, words in ranges.items()]
 
     def lines(self) -> Iterator[str]:

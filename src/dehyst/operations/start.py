@@ -13,6 +13,7 @@ import numpy as np
 from dehyst._io import COMPUTED
 from dehyst._text import counted, digits
 from dehyst._types import Array
+from dehyst._views.lines import place
 from dehyst.control import PathPlan, PossibleStart
 from dehyst.control.planning.start import NAMES
 from dehyst.model import Actuator, State, creep_times, needs_time, voltages_of
@@ -109,7 +110,12 @@ def _starts_in(
 def start_words(actuator: Actuator, start: PossibleStart, state: State | None = None) -> str:
     """Describe the state before the first sample, in brackets; by default the state of the start."""
     volts = actuator.voltage(start.within(actuator, None) if state is None else state)
-    return f"(start: {start.name}, at {volts:.4g} V)"
+    return f"(start: {start.name}, at {_volts(actuator, volts)})"
+
+
+def _volts(actuator: Actuator, voltage: float) -> str:
+    """Return a voltage [V] of an actuator as text, without digits that do not count."""
+    return f"{place(voltage, float(np.ptp(voltages_of(actuator))))} V"
 
 
 def begin_words(actuator: Actuator, path: PathPlan, limits: Limits, present: float | None) -> str:
@@ -119,7 +125,7 @@ def begin_words(actuator: Actuator, path: PathPlan, limits: Limits, present: flo
         return start_words(actuator, path.start, path.start.within(actuator, place))
     seconds = "" if path.time is None else f" in {path.homing.played.duration:.4g} s"
     samples = f"{counted(path.first, 'sample')}, each row has its time"
-    return f"(homed first from {path.homing.turns[0]:.6g} V{seconds}; {samples})"
+    return f"(homed first from {_volts(actuator, path.homing.turns[0])}{seconds}; {samples})"
 
 
 def open_start(path: PathPlan) -> list[str]:
@@ -164,7 +170,8 @@ def before_path(
     if given is None and abs(first - present) > 0.01 * max(abs(value) for value in (present, *voltages_of(actuator))):
         origin, hint = ("", "; --present V puts the way into the file") if unknown else ("that of the start, ", "")
         yield (
-            f"the first voltage, {first:.6g} V, is {abs(first - present):.6g} V away from {origin}{present:.6g} V: "
+            f"the first voltage, {_volts(actuator, first)}, is {_volts(actuator, abs(first - present))} away from "
+            f"{origin}{_volts(actuator, present)}: "
             f"ramp there {'slowly' if slew is None else 'within the slew rate'} before you play the file{hint}"
         )
     if longest and path.start.name in ("top", "bottom", "relaxed"):

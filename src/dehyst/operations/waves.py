@@ -14,11 +14,11 @@ from dehyst.control.planning.ways import MOST_ROWS
 from dehyst.operations.command import (
     NUMBER,
     Declaration,
+    Kinds,
     Parsed,
     argument,
     command,
     flag,
-    kinds,
     number,
     option,
     output,
@@ -40,8 +40,11 @@ class Numbers(tuple[float, ...]):
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Return the numbers in a text; raise ValueError if there are none."""
-        return cls(map(float, text.split(",")))
+        """Return the numbers in a text; raise `RecordError` if it has anything else."""
+        try:
+            return cls(map(float, text.split(",")))
+        except ValueError as error:
+            raise RecordError(got=repr(text), need="numbers with commas between them, as 0,10,20") from error
 
 
 # Options of every excitation.
@@ -57,10 +60,10 @@ _DRIVEN: dict[str, Declaration] = {
 }
 _VOLTAGE, _VOLTAGES = {"highest": argument(NUMBER)}, {"highest": argument(NUMBER, nargs=-1)}
 
-excite = kinds(
+excite = Kinds(
     "excite", help="Write the voltage of an excitation, to play and record; each KIND has a help of its own."
 )
-scan = kinds(
+scan = Kinds(
     "scan",
     help="Write the path of a scan: time and displacement of each axis; compensate computes its voltages.\n\n"
     "KIND: triangle or steps of one axis; raster of two. Each has a help of its own.",
@@ -75,7 +78,7 @@ def _add_excitation(kind: str, text: str, protocol: Callable[..., Excitation], *
         if given.get("axes"):
             given["axes"] = given["axes"].split(",")
         if kind == "stage" and len(given[name]) < 2:
-            raise RecordError(argument=name, got=f"{len(given[name])} for a stage", need="one for each of several axes")
+            raise RecordError(argument=name, got=f"{len(given[name])} voltage", need="one for each of several axes")
         sampled = {key: given.pop(key) for key in ("sample_rate", "base", "present", "limits", "slew_rate")}
         top = float(voltages(np.ravel(given[name]), name).max())
         if sampled["limits"] is None and top > 0:

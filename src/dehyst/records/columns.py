@@ -237,7 +237,7 @@ class Columns:
         for name, text in self.axes.items():
             parts = columns_of_axis(text)
             if len(parts) != 2 or not all(parts):
-                need = f"a key of {', '.join(RECORD)}, or an axis with the columns of a voltage and a displacement"
+                need = f"a key of {', '.join(RECORD)}, or an axis with its columns of voltage and displacement"
                 raise refusal(f"'{name}={text}'", need)
             used += [Entry.of(part).name for part in parts]
             found[name] = replace(self, voltage=parts[0], displacement=parts[1], axes={})

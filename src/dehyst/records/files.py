@@ -130,7 +130,7 @@ def _selected(table: Table, columns: Columns, axis: str) -> dict[str, Selected]:
             raise
         # A proposal for one voltage and one displacement does not help here.
         hint = f'the file holds {listed(table.names)}. Give the axis as "{axis}=VOLTAGE:DISPLACEMENT"'
-        raise FileFormatError(f"axis {axis}: {error.problems[0]}", hint=hint, change=("columns",)) from error
+        raise FileFormatError(f"axis {axis}: {error.problems[0].message}", hint=hint, change=("columns",)) from error
 
 
 def _with_temperature(table: Table, wanted: str) -> Table:

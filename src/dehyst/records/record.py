@@ -17,6 +17,7 @@ from dehyst._text import counted, escaped
 from dehyst._types import Array, Mask
 from dehyst._units import COLDEST, HOTTEST, SI, in_si, per_metre
 from dehyst._validation import DEFAULT_AXES, axis_names, choice, keep, plain
+from dehyst._views.lines import span_of
 from dehyst._views.pictures import Plotted
 from dehyst.records import events, quality, signals
 from dehyst.records.formats.column import Column
@@ -233,9 +234,8 @@ class Record(Plotted):
         others += ", voltage held" * (self.hold == "sample")
         if self.axes:
             return f"{head}, axes {', '.join(self.axes)}{others}>"
-        (v0, v1), y = self.voltage_range, self.displacement * 1e6
         events = f" at {counted(int(np.count_nonzero(self.measured)), 'event')}" if self.measured is not None else ""
-        return f"{head}, {v0:.4g} to {v1:.4g} V, {y.min():.6g} to {y.max():.6g} um{events}{others}>"
+        return f"{head}, {span_of(self.voltage, 'V')}, {span_of(self.displacement, 'um', 1e6)}{events}{others}>"
 
     def __getitem__(self, rows: slice[Any, Any, None] | Mask | NDArray[np.intp]) -> Record:
         # A slice of step 1, a bool for each sample, or increasing indices.

@@ -13,6 +13,7 @@ import numpy as np
 from dehyst._errors import FileFormatError
 from dehyst._types import Array
 from dehyst._units import FACTORS, in_si, quantity_of
+from dehyst._views.lines import span_of
 from dehyst.records.columns import RATE, Columns, Entry, Scale, text_of
 from dehyst.records.formats.column import (
     GAIN,
@@ -157,8 +158,7 @@ class Table:
                 f"if an amplifier multiplies or divides it, give {quantity}={shortened(column.name)}*{GAIN} with the "
                 f"gain for {GAIN}; if these are the volts of the actuator, the gain is 1"
             )
-            ends = f"{values.min():.4g} to {values.max():.4g} V"
-            raise ColumnError(self.source, quantity, f"{problem}{ends}", hint, column)
+            raise ColumnError(self.source, quantity, f"{problem}{span_of(values, 'V')}", hint, column)
         if step > 0 and (words := impossible("time", step)):
             raise FileFormatError(f"{self.source}: column '{shortened(column.name)}': {words}", change=("columns",))
         # The record shares these values.

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from dehyst._io import PathLike, write_atomically
+from dehyst._views.lines import ends
 from dehyst.identification import Fit, StageFit
 from dehyst.model import Actuator
 from dehyst.report import sections
@@ -105,8 +106,7 @@ def _report(
 
 def _facts(fit: Fit, actuator: Actuator | None) -> str:
     facts = ["Identification of a Maxwell-slip model of hysteresis"]
-    if actuator and actuator.limits:
-        facts.append(f"{number(actuator.limits[0])} to {number(actuator.limits[1])} V")
+    facts += [ends(*actuator.limits, "V")] if actuator and actuator.limits else []
     if fit.errors:
         facts.append(f"stroke {length(fit.errors[0].stroke)}")
     return f'<p class="muted">{escape(" · ".join(facts))}</p>'

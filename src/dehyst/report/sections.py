@@ -28,7 +28,7 @@ def verdict(fit: Fit) -> str:
     """Return the verdict in the colour of its readiness: its number first, then the outcome of the identification."""
     expected = fit.promise
     errors = (expected.largest, expected.rms, expected.measured, expected.noise)
-    most, rms, measured, noise = (percent(error, expected.stroke) for error in errors)
+    most, rms, measured, noise = (percent(error, expected.stroke, goal=expected.goal) for error in errors)
     said = (
         f"is the largest error to expect on any path within these voltages (RMS {rms}, from {expected.basis}; the goal "
         f"is {expected.goal:g} %), {expected.promise.apart}. "

@@ -15,6 +15,7 @@ from dehyst._threads import one_thread
 from dehyst._types import Array, Progress
 from dehyst._validation import interval
 from dehyst._views.fields import json_values
+from dehyst._views.lines import ends
 from dehyst._views.pictures import Plotted
 from dehyst.control import PathPlan
 from dehyst.identification import (
@@ -210,8 +211,8 @@ class Insight(Plotted):
         if over <= _WIDER * (recorded[1] - recorded[0]):
             return ""
         return (
-            f"The limits, {limits[0]:.6g} to {limits[1]:.6g} V, go {over:.4g} V beyond those of the records, "
-            f"{recorded[0]:.6g} to {recorded[1]:.6g} V: all results for voltages there are extrapolated."
+            f"The limits, {ends(*limits, 'V')}, go {over:.4g} V beyond the voltages of the records, "
+            f"{ends(*recorded, 'V')}: all results for voltages there are extrapolated."
         )
 
     def as_dict(self) -> dict[str, Any]:

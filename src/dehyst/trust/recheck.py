@@ -158,9 +158,11 @@ class Recheck(Plotted):
         gain = next((change.value for change in self.changed if change.name == "gain"), 0.0)
         reasons = []
         if 100 * abs(gain) > ANOTHER:
-            reasons.append(f"the gain differs by {100 * gain:+.3g} %")
+            reasons.append(f"the gain differs by {lines.percent(abs(gain), 1.0, goal=ANOTHER)}")
         if percent(self.without_noise, self.stroke) > ANOTHER:
-            reasons.append(f"the largest error is {self._percent(self.without_noise)} of the stroke")
+            reasons.append(
+                f"the largest error is {lines.percent(self.without_noise, self.stroke, goal=ANOTHER)} of the stroke"
+            )
         if not (found := " and ".join(reasons)):
             return ""
         return (
@@ -172,14 +174,15 @@ class Recheck(Plotted):
     def sentence(self) -> str:
         """The judgement and its numbers in one line."""
         since = f" after the first {self.unjudged:.3g} s, whose start is not known," if self.unjudged else ""
-        most, mean = map(self._percent, (self.without_noise, self.rms_without_noise))
+        missed, known, stroke = (self.without_noise, self.rms_without_noise), self.promise, self.stroke
+        bounds = () if known is None else (known.largest, known.rms)
+        most, mean = (lines.percent(error, stroke, *bounds, goal=self.goal) for error in missed)
         text = f"{self.standing.value.capitalize()}: the error{since} is {most} of the stroke at most, {mean} RMS, "
         text += f"without a constant offset and the sensor's noise (goal {self.goal:g} %)"
-        if self.promise is not None and not self.mismatch:
-            promised = f"{self._percent(self.promise.largest)} and {self._percent(self.promise.rms)} RMS "
-            promised += f"on {self.promise.path}"
-            missed = "missed, as by one path in ten" if self.standing is Standing.NEVER_MET else "not kept"
-            text += f". The model promised {promised}: {'kept' if self.kept else missed}"
+        if known is not None and not self.mismatch:
+            promised = " and ".join(lines.percent(bound, stroke, *missed) for bound in bounds)
+            kept = "missed, as by one path in ten" if self.standing is Standing.NEVER_MET else "not kept"
+            text += f". The model promised {promised} RMS on {known.path}: {'kept' if self.kept else kept}"
         return f"{text}. {self._advice()}"
 
     @property
@@ -199,7 +202,8 @@ class Recheck(Plotted):
         learns = "dehyst update may learn the change from this record" if self.advises_update else ""
         again = f"{learns}; otherwise identify" if learns else "Identify"
         again += " the model again from new records."
-        moved = f"the drift is {self._percent(abs(self.drift))} of the stroke and will also occur on a path"
+        drift = lines.percent(abs(self.drift), self.stroke, goal=self.goal)
+        moved = f"the drift is {drift} of the stroke and will also occur on a path"
         return {
             Standing.STILL_TRUE: "No new model is needed.",
             Standing.DRIFTS: f"No new model is needed; {moved}: let the actuator warm up and rest.",
@@ -210,9 +214,6 @@ class Recheck(Plotted):
             Standing.RECALIBRATE: again,
             Standing.ANOTHER: "Check that model and record belong together.",
         }[self.standing]
-
-    def _percent(self, length: float) -> str:
-        return lines.percent(length, self.stroke)
 
     def change_sentences(self) -> tuple[str, ...]:
         """Return a sentence for each change that counts, the largest effect first; none of another actuator."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dehyst._types import Array, Mask
+from dehyst._views.lines import ends
 from dehyst.model import CELLS, branches_of, paces_of, tested_loops
 
 # Samples of a record that are looked at, and how near voltages are, as a part of the range, that are shown as one turn.
@@ -40,7 +41,7 @@ class Turn(NamedTuple):
         """Voltages and speed as text."""
         speed = f" at {self.speed:.3g} V/s" if isfinite(self.speed) else ""
         often = f", {self.times} times" if self.times > 1 else ""
-        return f"{self.record}: from {self.begin:.4g} to {self.end:.4g} V{speed}{often}"
+        return f"{self.record}: from {ends(self.begin, self.end, 'V')}{speed}{often}"
 
 
 @dataclass(frozen=True, eq=False)

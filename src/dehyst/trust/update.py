@@ -384,11 +384,8 @@ class _Refit:
         actuator, record, missing = self.old, self.record, list[str]()
         low, high = voltages_of(actuator)
         least, most = record.voltage_range
-        unseen = [
-            f"{a:.4g} to {b:.4g} V"
-            for a, b in ((low, min(least, high)), (max(most, low), high))
-            if b - a > _NOT_VISITED * (high - low)
-        ]
+        parts = (low, min(least, high)), (max(most, low), high)
+        unseen = [lines.ends(a, b, "V") for a, b in parts if b - a > _NOT_VISITED * (high - low)]
         if unseen:
             missing.append(f"{' and '.join(unseen)} were not visited: the old model holds there.")
         sliding = 2 * actuator.slip.breakaway

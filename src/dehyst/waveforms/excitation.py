@@ -23,10 +23,9 @@ _MOST_VOLTS = 1e6
 def refuse_long(samples: int, rate: float) -> None:
     """Raise RecordError for more than 5e7 samples; `rate` [Hz] is for the message."""
     if samples > _MOST_SAMPLES:
-        raise RecordError(
-            f"got {samples:.4g} samples, {samples / rate:.4g} s at {rate:g} Hz, need {_MOST_SAMPLES:g} at most; lower "
-            "the sample rate, or request fewer or faster branches"
-        )
+        got = f"{samples:.4g} samples, {samples / rate:.4g} s at {rate:g} Hz"
+        hint = "lower the sample rate, or ask for fewer or faster branches"
+        raise RecordError(got=got, need=f"{_MOST_SAMPLES:g} at most", hint=hint, change=("sample_rate", "slew_rate"))
 
 
 # Checks of voltages [V] that are given, of one, and of a positive number.
@@ -177,7 +176,7 @@ class Sampling:
                 keep(self, **{name: positive(getattr(self, name), name)})
         if self.rate < 2 * _BRANCH_SAMPLES * self.frequency:
             got, hint = f"{self.rate:g} Hz for {self.frequency:g} Hz", f"try {_CYCLE_SAMPLES * self.frequency:g} Hz"
-            raise RecordError(argument="sample_rate", got=got, need="8 samples a cycle at least", hint=hint)
+            raise RecordError(argument="sample_rate, frequency", got=got, need="8 samples a cycle", hint=hint)
         if self.limits is not None:
             low, high = interval(self.limits, error=RecordError)
             keep(self, limits=(volts(low, "limits"), volts(high, "limits")))

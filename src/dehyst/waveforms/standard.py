@@ -63,8 +63,8 @@ def recommended(highest: float, *, drive: Sampling = _PACE) -> Excitation:
     made = drive.play("recommended", drive.lead_in(height) + branches)
     possible = min(FASTER, steepest)
     warning = (
-        f"the fastest turns are {fastest:.3g} times as fast as the slowest, in place of {possible:.3g} times, because "
-        f"of {drive.rate:g} Hz: {possible * _FEWEST * drive.frequency:.4g} Hz keeps them"
+        f"at {drive.rate:g} Hz the fastest turns are only {fastest:.3g} times as fast as the slowest; a sample rate of "
+        f"{possible * _FEWEST * drive.frequency:.4g} Hz allows {possible:.3g} times"
     )
     return replace(made, warnings=(*made.warnings, *[warning] * (fastest < possible)))
 

@@ -24,7 +24,6 @@ from itertools import cycle, pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import RecordError
 from dehyst._text import digits
 from dehyst._types import Array
 from dehyst._validation import Numbers, interval, number
@@ -90,6 +89,7 @@ def shortest_homing(
     tolerance: float | None = None,
     drive: Sampling | None = None,
     within: float | None = None,
+    past: tuple[float, float] | None = None,
 ) -> Homing:
     """Find a short voltage that leads from any state to a known state.
 
@@ -109,7 +109,10 @@ def shortest_homing(
         Speed and shape of the branches; default: 50 s, or a twentieth of the longest creep time constant, and at least
         fifty periods of a resonance.
     within : float, optional
-        Longest duration [s], with shorter holds and faster branches; default: as long as the tolerance requires.
+        Longest duration [s], with shorter holds, and with branches as fast as slew rate and sample rate allow; default:
+        as long as the tolerance requires.
+    past : (float, float), optional
+        Range of all voltages before [V]; default: the limits.
 
     Returns
     -------
@@ -120,8 +123,6 @@ def shortest_homing(
     ------
     ModelError
         If there are no limits, `present` lies outside them, or a number is impossible.
-    RecordError
-        If the branches cannot be short enough within the slew rate of `drive`.
     """
     allowed = allowed_limits(actuator, limits)
     start = VoltageLimits(*allowed).within(present, "present")
@@ -133,7 +134,7 @@ def shortest_homing(
     low, high = actuator.limits or allowed
     recorded = max(low, allowed[0]), min(high, allowed[1])
     for through in [recorded, allowed] if recorded[0] < recorded[1] and recorded != allowed else [allowed]:
-        found = _TimedHoming(actuator, allowed, through, start, given, least).homing(within)
+        found = _TimedHoming(actuator, past or allowed, through, start, given, least).homing(within)
         if found.certified:
             break
     return found
@@ -141,20 +142,20 @@ def shortest_homing(
 
 @dataclass
 class _TimedHoming:
-    """A homing over time through both `limits`, from the states that bound all histories within what is `allowed`.
+    """A homing over time through both `limits`, from the states that bound all histories within the `past` [V].
 
     `start`: first and last voltage [V]. Its parameter is the hold [s] at the last visit of either limit.
     """
 
     actuator: Actuator
-    allowed: tuple[float, float]
+    past: tuple[float, float]
     limits: tuple[float, float]
     start: float
     sampling: Sampling
     tolerance: float
 
     def __post_init__(self) -> None:
-        self.states = possible_states(self.actuator, self.start, self.allowed, self.sampling.half)
+        self.states = possible_states(self.actuator, self.start, self.past, self.sampling.half)
         # The longest time constant of creep [s], and the voltages to visit, the shorter way first.
         self.longest = float(creep_times(self.actuator).max(initial=0.0))
         low, high = self.limits
@@ -164,7 +165,7 @@ class _TimedHoming:
         self._cycle = self._few(self.sampling.branches(self.turns))
 
     def homing(self, within: float | None) -> Homing:
-        """Return the shortest homing; it may take no longer than `within` [s]."""
+        """Return the shortest homing, or one that takes no longer than `within` [s] if it can be so fast."""
         start = self.start
         known, spread = self.left(np.array([start]), np.zeros(1))
         if spread <= self.tolerance:
@@ -181,7 +182,7 @@ class _TimedHoming:
         return Homing(self.turns, state, spread <= self.tolerance, remarks, excitation, spread)
 
     def shortened(self, within: float) -> tuple[float, Excitation]:
-        """Return holds [s] and voltage of a homing that takes no longer than `within` [s]."""
+        """Return holds [s] and voltage of a homing that takes no longer than `within` [s], or is as fast as it can."""
         excitation = self.sampling.play("homing", self.path(0.0))
         if excitation.duration <= within:
             wait = (within - excitation.duration) / max(1, len(self.path(math.inf)) - len(self.path(0.0)))
@@ -190,11 +191,7 @@ class _TimedHoming:
         if self.sampling.sample_rate is not None:
             frequency = min(frequency, max(self.sampling.frequency, self.sampling.sample_rate / _LEAST_CYCLE))
         self.sampling = replace(self.sampling, frequency=frequency)
-        excitation = self.sampling.play("homing", self.path(0.0))
-        if excitation.duration > within + 2 / self.sampling.rate:
-            need = f"{excitation.duration:.4g} s at least, by the slew rate or the sample rate"
-            raise RecordError(argument="home_within", got=f"{within:g} s for the homing", need=need)
-        return 0.0, excitation
+        return 0.0, self.sampling.play("homing", self.path(0.0))
 
     def remarks(self, wait: float, spread: float) -> Iterator[str]:
         """Yield remarks on a homing with holds [s] that leaves a `spread` [m]."""
@@ -205,8 +202,8 @@ class _TimedHoming:
                 remedy = f"holds of {needed:.3g} s at both limits instead of {wait:.3g} s would suffice"
             share = 100 * spread / float(np.ptp(self.actuator.spring.displacement))
             yield (
-                f"not certified to {length(self.tolerance)}: the history may leave {length(spread)} ({digits(share)} % "
-                f"of the range){reasons and f', as this actuator {reasons}'}; {remedy}"
+                f"not certified to {length(self.tolerance)}: the history may leave {length(spread, self.tolerance)} "
+                f"({digits(share)} % of the range){reasons and f', as this actuator {reasons}'}; {remedy}"
             )
         if not keeps_order(self.actuator):
             yield (

@@ -19,7 +19,7 @@ from dehyst.control.limits import outside_identified, unit_hint
 from dehyst.control.planning.homing import HOME_WITHIN
 from dehyst.control.planning.plan import PATH, WAY, PathPlan, shortfall
 from dehyst.control.planning.start import PossibleStart, StartError
-from dehyst.control.planning.ways import TOLERANCE, Way, pace, simultaneous, stand, usual_step, way_to
+from dehyst.control.planning.ways import TOLERANCE, Way, pace, past_of, simultaneous, stand, usual_step, way_to
 from dehyst.model import (
     Actuator,
     Stage,
@@ -131,14 +131,15 @@ class Part:
     """One axis of a path: what is wanted of its actuator, and the plan as far as it was found.
 
     `moved` (n,): voltage [V], or displacement [m] without coupling. `first`: the first one, of the model without gain
-    and offset. `temperature` (n,) [degC]: of the actuator; `warmth`: if it has an effect. `delay` [s]: by which the
-    voltage leads; `late` [s]: by which the displacement lags. `start`, `present` [V]: as given. `way`: before the path.
-    `found`: the voltages of the path. `error`: due to the start.
+    and offset. `past`: range of the voltages before [V]. `temperature` (n,) [degC]: of the actuator; `warmth`: if
+    it has an effect. `delay` [s]: by which the voltage leads; `late` [s]: by which the displacement lags. `start`,
+    `present` [V]: as given. `way`: before the path. `found`: the voltages of the path. `error`: due to the start.
     """
 
     loop: Axis
     moved: Array
     first: float
+    past: tuple[float, float]
     temperature: Array | None = None
     warmth: Array | None = None
     delay: float = 0.0
@@ -227,7 +228,7 @@ class Task:
         if not size:
             raise RecordError(argument="path", got="no samples", need="one at least")
         columns = zip(compensator._axes, self.rows.T, strict=True)
-        self.parts = [Part(loop, column, float(column[0])) for loop, column in columns]
+        self.parts = [Part(loop, column, float(column[0]), loop.limits) for loop, column in columns]
         if temperature is not None:
             self._warm(temperature)
         self.time = None if period is None else period * np.arange(size, dtype=np.float64)
@@ -257,9 +258,10 @@ class Task:
         for j, part in enumerate(self.parts):
             part.moved = moved[:, j]
             gain, offset = part.loop.scaling(part.warmth, len(self.rows))
-            if words := self.compensator._straying(j, (part.moved - offset) / gain):
+            own = (part.moved - offset) / gain
+            if words := self.compensator._straying(j, own):
                 raise ModelError(words if self.single else f"axis {self.stage.axes[j]}: {words}")
-            part.first = float(np.ravel((part.moved[0] - offset) / gain)[0])
+            part.first, part.past = float(own[0]), past_of(part.loop, own)
 
     def prepare(self, on_time: bool | None, home_within: float | None) -> None:
         """Let the voltages lead the path by the delays of the actuators, where these lag; else say that it is late.
@@ -308,7 +310,7 @@ class Task:
         """Follow the path, with a way before it only if its first step is a jump."""
         near = all(part.present is None for part in self.parts)
         for part in self.parts:
-            way = stand(part.loop, part.start, part.present, part.first, near=near)
+            way = stand(part.loop, part.past, part.start, part.present, part.first, near=near)
             part.way = way._replace(step=self.compensator.period)
         self.follow()
         if any(part.jumps(self.time) for part in self.parts):
@@ -319,7 +321,7 @@ class Task:
         """Follow the path after homings; `again`: also of a given start that is not known, which becomes useless."""
         for part in self.parts:
             known = None if again and part.start and not part.start.known else part.start
-            part.way = stand(part.loop, known, part.present, part.first, near=False)
+            part.way = stand(part.loop, part.past, known, part.present, part.first, near=False)
         self.go(home=True)
         self.follow()
 
@@ -331,7 +333,7 @@ class Task:
         options: dict[str, Any] = {"within": self.home_within, "rows": len(self.rows)}
         for part in self.parts:
             homes = home and not part.way.start.known
-            part.way = way_to(part.loop, part.way, part.first, self.time, home=homes, **options)
+            part.way = way_to(part.loop, part.way, part.first, self.time, past=part.past, home=homes, **options)
         if self.single or not any(part.way.time.size for part in self.parts):
             return
         for part, way in zip(self.parts, simultaneous([part.way for part in self.parts]), strict=True):
@@ -396,7 +398,7 @@ class Task:
                 loop, volts = part.loop, part.found.voltage
                 voltage = np.concatenate([part.way.voltage, volts]) if first else volts
                 begin = first + self.ahead
-                error = part.way.start.error_along(loop.actuator, voltage, loop.limits, time=time, first=begin)
+                error = part.way.start.error_along(loop.actuator, voltage, part.past, time=time, first=begin)
                 warmth = None if part.warmth is None else part.warmth[self.ahead :]
                 part.error = error.scaled(*loop.scaling(warmth, size - self.ahead))
             found.append(part.error)

@@ -62,8 +62,8 @@ class PathPlan:
     temperature : (n,) array or None
         Temperature [degC] of the actuator; before the path that of the first sample. None if it is not known.
     units : str
-        Unit of displacements and `error`, as in the compensator, by default "m". `state`, `start`, `homing` and
-        `promise` are always in SI units.
+        Unit of displacements, as in the compensator, by default "m". `state`, `start`, `homing`, `error` and `promise`
+        are always in SI units.
     each : tuple of PathPlan
         The plan of each axis; empty for a single axis.
     """
@@ -144,7 +144,6 @@ class PathPlan:
             self,
             displacement=self.displacement * counts,
             expected=self.expected * counts,
-            error=self.error.in_units(units),
             units=units,
         )
 

@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._units import per_metre
-from dehyst._validation import choice, interval, number, vector
+from dehyst._validation import choice, vector
 from dehyst.control.limits import outside_identified
 from dehyst.control.planning.homing import middle_of, possible_states
-from dehyst.model import Actuator, State, knots_of, state_within_limits, stroke_of, turned, voltages_of
+from dehyst.model import Actuator, State, knots_of, state_within_limits, stroke_of, turned
 
 StartName = Literal["top", "bottom", "relaxed"]
 NAMES: tuple[str, ...] = get_args(StartName)
@@ -109,20 +108,6 @@ class PossibleStart:
         return cls("unknown", possible_states(actuator, voltage, limits))
 
     @classmethod
-    def unknown_near(
-        cls, actuator: Actuator, displacement: float, limits: tuple[float, float] | None = None
-    ) -> PossibleStart:
-        """Return the unknown start of an `actuator` that rests near a `displacement` [m].
-
-        `limits` [V]: range of all earlier voltages, by default the actuator's limits. Raise `ModelError` if
-        the displacement is not finite, or the limits are no interval.
-        """
-        y = number(displacement, "displacement")
-        held = actuator.voltage(State(y, np.full(len(actuator.slip), y)))
-        low, high = interval(voltages_of(actuator) if limits is None else limits)
-        return cls.unknown(actuator, min(max(held, low), high), (low, high))
-
-    @classmethod
     def after(
         cls,
         actuator: Actuator,
@@ -154,28 +139,18 @@ class StartError:
     Attributes
     ----------
     lowest, highest : (n,) array
-        Bounds of the displacement [m, or `units`]; with dynamics, bounds of its slow part, about which a mass may ring.
+        Bounds of the displacement [m]; with dynamics, bounds of its slow part, about which a mass may ring.
     stroke : float
-        Displacement between the voltage limits [m, or `units`], the reference of percentages.
+        Displacement between the voltage limits [m], the reference of percentages.
     model_error : float
-        Largest error of the model on its training records [m, or `units`]; a thousandth of the stroke if this error is
+        Largest error of the model on its training records [m]; a thousandth of the stroke if this error is
         not known.
-    units : str
-        Unit of all lengths, "m" by default.
     """
 
     lowest: Array
     highest: Array
     stroke: float
     model_error: float
-    units: str = "m"
-
-    def in_units(self, units: str) -> StartError:
-        """Return a copy with its lengths converted from metres to `units`, such as "um"."""
-        lengths: dict[str, Any] = {
-            name: getattr(self, name) * per_metre(units) for name in ("lowest", "highest", "stroke", "model_error")
-        }
-        return replace(self, **lengths, units=units)
 
     def scaled(self, gain: Any, offset: Any) -> StartError:
         """Return the error of a displacement of `offset` plus `gain` times this one, each a number or (n,)."""
@@ -185,7 +160,7 @@ class StartError:
 
     @property
     def difference(self) -> Array:
-        """Highest minus lowest displacement (n,) [m, or `units`]."""
+        """Highest minus lowest displacement (n,) [m]."""
         return self.highest - self.lowest
 
     def left_of(self, expected: Array) -> Array:
@@ -199,12 +174,12 @@ class StartError:
 
     @property
     def first(self) -> float:
-        """Difference at the first sample [m, or `units`]."""
+        """Difference at the first sample [m]."""
         return float(self.difference[0]) if self.difference.size else 0.0
 
     @property
     def largest(self) -> float:
-        """Largest difference [m, or `units`]."""
+        """Largest difference [m]."""
         return float(self.difference.max(initial=0.0))
 
     @property
@@ -213,7 +188,7 @@ class StartError:
         return self.largest > self.model_error
 
     def percent(self, length: float) -> float:
-        """Return a `length` [m, or `units`] in % of the stroke."""
+        """Return a `length` [m] in % of the stroke."""
         return 100 * length / self.stroke
 
     def as_dict(self) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from dehyst._errors import RecordError
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst._validation import count as whole
-from dehyst._views.lines import span_of
+from dehyst._views.lines import length, span_of
 from dehyst.control.compensator import Compensator
 from dehyst.control.planning.path import Task
 from dehyst.control.planning.start import PossibleStart
@@ -193,7 +193,7 @@ def _last_cycle(task: Task, path: ScanPath, count: int, least: float) -> tuple[W
     warnings: tuple[str, ...] = ()
     if error > least:
         remedy = f"give a start-up of {counted(count + more, 'cycle')}" if more else "no start-up is long enough"
-        drifts = f"the cycles that follow drift by up to {error * 1e6:.3g} um, need {least * 1e6:.3g} um"
+        drifts = f"the cycles that follow drift by up to {length(error, least)}, need {length(least)}"
         warnings = (f"NOT SETTLED: after {counted(count, 'cycle')} of start-up {drifts}; {remedy}",)
     cycle = Cycle(closed[:-1], path.displacement, expected, path.sample_rate)
     return WaveTable(cycle, None, count, error, least, state, warnings), more

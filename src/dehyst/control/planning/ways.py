@@ -16,7 +16,7 @@ from dehyst.control.limits import VoltageLimits
 from dehyst.control.planning.homing import FASTEST_BRANCH, Homing, branch_seconds, shortest_homing
 from dehyst.control.planning.plan import HOMING, WAY
 from dehyst.control.planning.start import PossibleStart, model_error
-from dehyst.model import Actuator, State, slew_rate_of_records, state_at
+from dehyst.model import Actuator, State, major_loop, slew_rate_of_records, state_at, voltages_of
 from dehyst.waveforms import Branch, Sampling, volts
 
 # Fewest samples of a branch at the path's sample rate, and samples of a branch where a path has no time.
@@ -58,7 +58,18 @@ class Way(NamedTuple):
     waits: float = 0.0
 
 
-def stand(loop: Axis, known: PossibleStart | None, present: Any, first: float, *, near: bool) -> Way:
+def past_of(loop: Axis, wanted: Array) -> tuple[float, float]:
+    """Return the range of the voltages [V] before a path (n,) [m]: that of the records, if it suffices for the path.
+
+    Limits beyond the records have an effect only where the path needs them.
+    """
+    (low, high), recorded = loop.limits, voltages_of(loop.actuator)
+    usual = max(low, recorded.low), min(high, recorded.high)
+    least, most = major_loop(loop.actuator, usual) if usual[0] < usual[1] else (np.inf, -np.inf)
+    return usual if least <= wanted.min() and wanted.max() <= most else (low, high)
+
+
+def stand(loop: Axis, past: Any, known: PossibleStart | None, present: Any, first: float, *, near: bool) -> Way:
     """Return how an actuator stands: as given, or unknown at a voltage [V], or `near` the first sample [m]."""
     actuator, volts = loop.actuator, None
     remarks: tuple[str, ...] = ()
@@ -66,11 +77,12 @@ def stand(loop: Axis, known: PossibleStart | None, present: Any, first: float, *
         start, state = known, known.within(actuator, loop.limits)
         volts = loop.held(state) if present is None else present_voltage(loop.bounds, present)
     elif near:
-        start = PossibleStart.unknown_near(actuator, first, loop.limits)
+        held = actuator.voltage(State(first, np.full(len(actuator.slip), first)))
+        start = PossibleStart.unknown(actuator, min(max(held, past[0]), past[1]), past)
         state = start.within(actuator, loop.limits)
     else:
         volts = present_voltage(loop.bounds, present)
-        start = PossibleStart.unknown(actuator, volts, loop.limits)
+        start = PossibleStart.unknown(actuator, volts, past)
         state = start.within(actuator, (volts, volts))
         if present is None and volts:
             words = f"the homing begins at {volts:.6g} V, the limit next to 0 V: ramp there first"
@@ -86,12 +98,12 @@ def usual_step(time: Array | None) -> float:
 
 
 def way_to(
-    loop: Axis, before: Way, first: float, time: Array | None, *, home: bool, within: float | None, rows: int
+    loop: Axis, before: Way, first: float, time: Array | None, *, past: Any, home: bool, within: float | None, rows: int
 ) -> Way:
     """Return the shortest homing of an axis, if it is to `home`, and the way from its end to a path.
 
-    `before`: how the actuator stands. `first` [m]: the first sample of the path of the model, at `time` (n,) [s] of
-    `rows` samples. `within` [s]: the longest time of homing and way.
+    `before`: how the actuator stands; `past`: the voltages before [V]. `first` [m]: the first sample of the path of the
+    model, at `time` (n,) [s] of `rows` samples. `within` [s]: the longest time of homing and way.
     """
     actuator, step = loop.actuator, usual_step(time)
     now, rate = loop.held(before.state) if before.last is None else before.last, 1 / step
@@ -100,21 +112,20 @@ def way_to(
     drive = Sampling(0.5 / branch, rate, base=now, present=now, limits=loop.limits, slew_rate=pace(loop))
     way = before._replace(last=now, step=step)
     if not home:
-        ramp, goal, reached = _ramp(actuator, drive, before.state, first)
+        ramp, goal, reached = _ramp(actuator, drive, past, before.state, first)
         return _before_path(way._replace(state=reached, goal=goal), ramp, rate, rows)
     least = max(model_error(actuator), TOLERANCE * float(np.ptp(actuator.spring.displacement)))
 
-    def homed(seconds: float | None) -> tuple[Homing, Array, float, State]:
-        homing = played_homing(actuator, drive, tolerance=least, within=seconds)
-        return homing, *_ramp(actuator, drive, homing.state, first)
-
-    homing, ramp, goal, reached = homed(within)
+    homing = played_homing(actuator, drive, past, least, within)
+    ramp, goal, reached = _ramp(actuator, drive, past, homing.state, first)
     if within is not None and homing.played.duration + ramp.size * step > within + step:
         # The way is part of the time that is allowed.
-        if within <= ramp.size * step:
-            got = f"{within:g} s, less than the way from a homing to the path"
-            raise RecordError(argument="home_within", got=got, need=f"more than {ramp.size * step:.4g} s")
-        homing, ramp, goal, reached = homed(within - ramp.size * step)
+        homing = played_homing(actuator, drive, past, least, max(within - ramp.size * step, step))
+        ramp, goal, reached = _ramp(actuator, drive, past, homing.state, first)
+        if (seconds := homing.played.duration + ramp.size * step) > within + 2 / homing.played.sample_rate:
+            # A little more, so that the number suffices as it is written.
+            need = f"{1.001 * seconds:.4g} s at least, by the slew rate or the sample rate"
+            raise RecordError(argument="home_within", got=f"{within:g} s", need=need)
     remarks = (*before.remarks, *homing.remarks)
     way = way._replace(origin=way.start.state, state=reached, homing=homing, remarks=remarks, goal=goal)
     if len(homing.turns) > 1:
@@ -161,10 +172,12 @@ def _before_path(homed: Way, ramp: Array, rate: float, rows: int) -> Way:
     )
 
 
-def _ramp(actuator: Actuator, drive: Sampling, state: State, first: float) -> tuple[Array, float, State]:
+def _ramp(
+    actuator: Actuator, drive: Sampling, past: tuple[float, float], state: State, first: float
+) -> tuple[Array, float, State]:
     """Return the voltages [V] before the first sample [m] of a path, its own voltage, and the state before it.
 
-    The way takes a share of a branch's duration, but at least enough time for a mass and an amplifier to follow.
+    The way is as fast as a branch through the `past` [V], or slower, so that a mass and an amplifier can follow.
     """
     low, high = drive.limits or (-np.inf, np.inf)
     still = replace(actuator, displacement_creep=None, state=None)  # type: ignore[arg-type]
@@ -173,7 +186,7 @@ def _ramp(actuator: Actuator, drive: Sampling, state: State, first: float) -> tu
         end = min(max(actuator.voltage(state_at(actuator, reached, first)), low), high)
         if end == begin:
             return EMPTY, end, state
-        seconds = max(drive.half * abs(end - begin) / (high - low), branch_seconds(still, 0.0))
+        seconds = max(drive.half * abs(end - begin) / (past[1] - past[0]), branch_seconds(still, 0.0))
         voltage = drive.play("way", [Branch(begin, end, seconds, requested=False)]).voltage
         time = np.arange(voltage.size) / drive.rate
         reached = actuator.simulate(voltage, time=time, state=state, extrapolate=True).state
@@ -190,11 +203,11 @@ def present_voltage(bounds: VoltageLimits, present: float | None) -> float:
     )
 
 
-def played_homing(actuator: Actuator, drive: Sampling, *, tolerance: float, within: float | None) -> Homing:
+def played_homing(actuator: Actuator, drive: Sampling, past: Any, tolerance: float, within: float | None) -> Homing:
     """Return the shortest homing at the sample rate of a path or a lower one.
 
-    `drive`: speed and shape, with the sample rate of the path, the present voltage and limits. `tolerance`, `within`:
-    as in `shortest_homing`.
+    `drive`: speed and shape, with the sample rate of the path, the present voltage and limits. `past`, `tolerance`,
+    `within`: as in `shortest_homing`.
     """
     rate = drive.rate
     # A long homing has a sample rate of its own: that of the path over a whole number.
@@ -203,9 +216,9 @@ def played_homing(actuator: Actuator, drive: Sampling, *, tolerance: float, with
         needed = max(needed, _RESONANCE_SAMPLES * actuator.dynamics.frequency)
     drive = replace(drive, sample_rate=rate / max(1, int(rate / needed)))
     given: dict[str, Any] = {"limits": drive.limits, "present": drive.start, "tolerance": tolerance, "within": within}
-    homing = shortest_homing(actuator, drive=drive, **given)
+    homing = shortest_homing(actuator, drive=drive, past=past, **given)
     if len(homing.turns) > 1 and homing.played.duration * rate <= _EVEN_SAMPLES and drive.sample_rate != rate:
-        homing = shortest_homing(actuator, drive=replace(drive, sample_rate=rate), **given)
+        homing = shortest_homing(actuator, drive=replace(drive, sample_rate=rate), past=past, **given)
     return homing
 
 
