@@ -6,14 +6,11 @@ import pickle
 import click
 import pytest
 from click.testing import CliRunner
-from summaries import anatomy
-from virtual_loops import record_loops
 
 from dehyst._errors import FileFormatError, LinkError, ModelError, RecordError
 from dehyst.cli import main
 from dehyst.operations.command import error_text
 from dehyst.operations.registry import find
-from dehyst.records import write_record
 from dehyst.records.columns import entries_of
 
 
@@ -22,20 +19,9 @@ def test_an_error_is_made_of_its_fields(kind):
     error = kind(argument="limits", got=(5, 2), need="the lower one first", hint="swap them", change=("limits",))
     assert str(error) == "limits: got (5, 2), need the lower one first; swap them"
     assert error.text(str.upper).startswith("LIMITS: got")
-    again = pickle.loads(pickle.dumps(error))
-    assert (
-        again.as_dict()
-        == error.as_dict()
-        == {
-            "kind": kind.__name__,
-            "message": str(error),
-            "argument": "limits",
-            "got": "(5, 2)",
-            "need": "the lower one first",
-            "hint": "swap them",
-            "change": ["limits"],
-        }
-    )
+    again = pickle.loads(pickle.dumps(error)).as_dict()
+    fields = {"argument": "limits", "got": "(5, 2)", "need": "the lower one first", "hint": "swap them"}
+    assert again == error.as_dict() == {"kind": kind.__name__, "message": str(error), **fields, "change": ["limits"]}
     assert str(kind("a sentence")) == "a sentence"
 
 
@@ -56,33 +42,12 @@ def test_a_command_shows_its_options(command, error, shown):
     assert error_text(click.Context(find(command)), ModelError(**error)) == shown
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Records and models that some command must refuse, or has something to say of."""
-    place = tmp_path_factory.mktemp("words")
-    write_record(place / "loops.csv", record_loops()[0])
-    (place / "units.csv").write_text("a,b,c\n" + "".join(f"{k},{k % 7},{k % 5}\n" for k in range(50)))
-    (place / "path.csv").write_text("displacement_um\n" + "".join(f"{k / 10}\n" for k in range(50)))
-    anatomy("creep").save(place / "creeps.json")
-    anatomy("plain").save(place / "plain.json")
-    return place
-
-
-def test_columns_are_suggested_as_data(folder, monkeypatch):
-    monkeypatch.chdir(folder)
+def test_columns_are_suggested_as_data(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "units.csv").write_text("a,b,c\n" + "".join(f"{k},{k % 7},{k % 5}\n" for k in range(50)))
     done = CliRunner().invoke(main, ["show", "units.csv", "--json"])
     error = json.loads(done.stdout)["error"]
     assert done.exit_code == 2 and error["kind"] == "ColumnsError"
     assert entries_of(error["suggestion"]).keys() == {"time", "voltage", "displacement"}
     (command,) = error["commands"]
     assert command.startswith("dehyst show units.csv --columns ")
-
-
-@pytest.mark.parametrize("name", ["limits", "knots", "delay"])
-def test_a_file_that_is_called_as_an_option_keeps_its_name(name, tmp_path, monkeypatch):
-    (tmp_path / name).mkdir()
-    (tmp_path / name / "x").touch()
-    monkeypatch.chdir(tmp_path)
-    done = CliRunner().invoke(main, ["demo", "-o", name])
-    assert done.exit_code == 2
-    assert done.stderr.startswith(f"dehyst: {name}: holds other files (x)")

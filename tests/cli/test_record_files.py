@@ -54,14 +54,13 @@ def monitor(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_show_prints_and_draws(monitor):
+def test_show_prints_columns_and_ranges(monitor):
     columns = "voltage=Monitor [mV]*100, displacement=Sensor [V]*10um/V"
     done = run("show", "monitor.csv", "--columns", columns)
     assert done.exit_code == 0, done.stderr
     for line in ("1200 rows of 3 columns", "  Monitor [mV]  mV      0 to 1000", "0 to 2.398 s, 500 Hz"):
         assert line in done.stdout
     assert "'Monitor [mV]', times 100  0 to 100 V, 4 cycles" in done.stdout
-    assert sum("*" in line for line in done.stdout.split("\n")) == 16
 
 
 def test_show_counts_the_values_of_a_column_that_are_not_finite(tmp_path, monkeypatch):
@@ -125,7 +124,7 @@ def far(monitor):
 def test_an_unreachable_path_names_the_range_and_the_option(far):
     done = run("compensate", "far.json", "path.csv", "-o", "voltage.csv")
     assert done.exit_code == 2
-    assert "model reaches -119.6 to -108.4" in done.stderr
+    assert "model reaches -119.62 to -108.38" in done.stderr
     assert "--zero -119 " in done.stderr
     done = run("compensate", "far.json", "path.csv", "-o", "voltage.csv", "--zero", "-119")
     assert done.exit_code == 0, done.stderr

@@ -42,9 +42,12 @@ def test_errors_are_one_line():
     assert (str(FileFormatError(f"{NASTY}: wrong")), str(LinkError(NASTY))) == (f"{SAID}: wrong", SAID)
 
 
-@given(st.floats(1e-3, 9e5))
-def test_a_number_in_a_sentence_has_no_power_of_ten(value):
+@given(st.floats(1e-3, 9e5), st.floats(-1e-3, 1e-3))
+def test_a_number_in_a_sentence_has_no_power_of_ten_and_differs_from_the_goal_beside_it(value, more):
+    goal = float(f"{value * (1 + more):.3g}")
+    said = float(digits(value, 2, goal))
     assert "e" not in digits(value) and float(digits(value)) == pytest.approx(value, rel=0.05)
+    assert said == pytest.approx(value, rel=0.05) and (abs(value / goal - 1) < 1e-7 or (said > goal) == (value > goal))
 
 
 @pytest.fixture(scope="module")

@@ -44,12 +44,7 @@ def test_no_voltage_of_a_model_with_limits_that_no_record_has_shown_is_sent(fold
 @pytest.mark.parametrize("model", ["model", "stage"])
 def test_an_export_says_which_slew_rate_it_has(folder, model):
     words = ("export", f"{model}.json", f"c-{model}", "--force")
-    given = {
-        (): None,
-        ("--slew-rate", 4000.0): 4000.0,
-        ("--slew-rate", "none"): None,
-    }
-    for options, expected in given.items():
+    for options, expected in {(): None, ("--slew-rate", 4000.0): 4000.0, ("--slew-rate", "none"): None}.items():
         status, out, err = run(*words, "--period", 1e-3, *options, "--json", cwd=folder)
         assert status == 0, err
         found = json.loads(out)["slew_V_per_s"]
@@ -97,11 +92,7 @@ def test_later_commands_read_and_move_as_the_model_keeps_it(tmp_path):
     assert [KEPT in err for _, _, err in given] == [True, False]
     time = np.arange(400) * 0.01
     write_columns(tmp_path / "path.csv", {"time_s": time, "displacement_um": 8 - 3 * np.cos(5 * time)})
-    for more, expected in (
-        ((), 30),
-        (("--slew-rate", 40), 40),
-        (("--slew-rate", "none"), None),
-    ):
+    for more, expected in {(): 30, ("--slew-rate", 40): 40, ("--slew-rate", "none"): None}.items():
         found = result("compensate", "model.json", "path.csv", "-o", "v.csv", *more, cwd=tmp_path)[1]
         assert found["slew_V_per_s"] == expected
         made = result("export", "model.json", "firmware", "--period", 1e-3, *more, "--force", cwd=tmp_path)[1]

@@ -132,7 +132,7 @@ def test_show_check_and_insight(folder):
 def test_a_record_of_axes_is_shown_and_written(folder):
     words = ["show", folder / "stage.csv", "--columns", AXES]
     output = run(*words, "-o", folder / "shown.npz")
-    assert output.count("displacement (um)") == 2
+    assert output.count("\nAxis ") == 2
     again = read(folder / "shown.npz", "x=vx_V:x_m, y=vy_V:y_m")
     assert np.array_equal(again.voltage, read(folder / "stage.csv", AXES).voltage)
 

@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
+
 from dehyst._errors import DehystError, RigError
 from dehyst._io import demand_own_folder
 from dehyst.calibration import Calibration, Plan
@@ -22,8 +24,6 @@ from dehyst.operations.command import CONTINUED, argument, command, flag, number
 from dehyst.operations.paths import bounds_remarks
 from dehyst.operations.run import Result, Run
 from dehyst.report import write_report
-
-REPORT = "report.html"
 
 
 class Steps(ProgressListener):
@@ -152,22 +152,19 @@ def _planned(rig: AbstractRig, plan: Plan) -> Result:
     seconds = sum(entry["seconds"] for entry in planned)
     lines = [
         f"{rig.name}, {bounds}; nothing was sent",
-        *_step_lines(planned),
+        *map(_step_line, planned),
         f"up to {seconds:.0f} s of playing in all",
     ]
     return Result({"rig": rig.name, **allowed, "steps": planned}, lines)
 
 
-def _step_lines(planned: Sequence[dict[str, Any]]) -> Iterator[str]:
-    def joined(values: float | list[float], digits: int = 6) -> str:
-        return ", ".join(f"{value:.{digits}g}" for value in (values if isinstance(values, list) else [values]))
-
-    for entry in planned:
-        yield (
-            f"  {entry['step']:12s}{entry['seconds']:8.1f} s {entry['samples']:7d} samples, "
-            f"{joined(entry['lowest_V'])} to {joined(entry['highest_V'])} V, "
-            f"up to {joined(entry['steepest_V_per_s'], 4)} V/s; {entry['what']}"
-        )
+def _step_line(planned: dict[str, Any]) -> str:
+    low, high, most = (
+        ", ".join(f"{value:.5g}" for value in np.atleast_1d(planned[name]))
+        for name in ("lowest_V", "highest_V", "steepest_V_per_s")
+    )
+    size = f"{planned['seconds']:8.1f} s {planned['samples']:7d} samples"
+    return f"  {planned['step']:12s}{size}, {low} to {high} V, up to {most} V/s; {planned['what']}"
 
 
 def _calibrated(run: Run, rig: AbstractRig, output: Path, plan: Plan) -> Calibration:
@@ -177,7 +174,7 @@ def _calibrated(run: Run, rig: AbstractRig, output: Path, plan: Plan) -> Calibra
         watcher.step("report")
         followed = {"nominal": calibration.nominal, "compensated": calibration.compensated}
         fit, found = calibration.fit, calibration.insight
-        write_report(output / REPORT, fit, command=run.command, insight=found, followed=followed)
+        write_report(output / "report.html", fit, command=run.command, insight=found, followed=followed)
         return calibration
 
 

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import inspect
 import math
+import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -214,17 +216,17 @@ def command(
     return made
 
 
-class Kinds(click.Group):
+class _Kinds(click.Group):
     """A command of several kinds, each with options of its own."""
-
-    def __init__(self, name: str, **settings: Any) -> None:
-        super().__init__(name, no_args_is_help=True, subcommand_metavar="KIND ...", **settings)
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
         """Find the command of a kind; name all kinds if there is none."""
         if args[0] not in self.commands:
             ctx.fail(f"got {args[0]!r}, need a kind of {ctx.info_name}: {', '.join(self.commands)}")
         return super().resolve_command(ctx, args)
+
+
+kinds = partial(_Kinds, no_args_is_help=True, subcommand_metavar="KIND ...")
 
 
 def argument_of(error: click.UsageError) -> str:
@@ -251,17 +253,11 @@ def error_text(ctx: click.Context, error: DehystError) -> str:
         key = _KEYS.get(argument)
         return f"--columns {key}" if key and "columns" in parameters else named(argument) if parameter else ""
 
-    if isinstance(given := ctx.params.get(error.argument), float) and _is_number(error.got):
-        # As it was given, not in SI units.
+    given = ctx.params.get(error.argument)
+    if isinstance(given, float) and re.fullmatch(r"[-+.e\d]+", error.got):
+        # A number as it was given, not in SI units.
         error.got = f"{given:g}"
     return error.text(named, way)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False
 
 
 @contextmanager

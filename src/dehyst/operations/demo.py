@@ -22,8 +22,6 @@ from dehyst.waveforms import Sampling, raised_cosine, recommended, wanted_path
 _SAMPLES = 400
 _RATE = 0.01 * _SAMPLES
 _IDENTIFIED = "dehyst identify loops.csv --validate other-loops.csv -o model.json --report report.html"
-# Largest errors of the paper [%]: Sec. 4.3 and Fig. 12.
-_PAPER = {"linear": 13.63, "compensated": 0.76}
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,14 +34,13 @@ class Demo:
     path: Mapping[str, Array]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return JSON values; errors in % of the stroke, with those of the paper."""
+        """Return JSON values; errors in % of the stroke."""
         found: dict[str, Any] = {"stroke_um": 1e6 * self.stroke}
-        for kind in _PAPER:
+        for kind in ("linear", "compensated"):
             error = self.path[f"{kind}_um"] - self.path["wanted_um"]
-            known = {name: percent(of(error), 1e6 * self.stroke) for name, of in (("largest", largest), ("rms", rms))}
-            found[kind] = {f"{name}_percent": value for name, value in known.items()} | {"largest_um": largest(error)}
-        paper = {f"{kind}_largest_percent": value for kind, value in _PAPER.items()}
-        return {**found, "paper": paper, "fit": self.fit.as_dict()}
+            shares = {f"{of.__name__}_percent": percent(of(error), 1e6 * self.stroke) for of in (largest, rms)}
+            found[kind] = {**shares, "largest_um": largest(error)}
+        return {**found, "fit": self.fit.as_dict()}
 
 
 def record_loops(truth: PlayActuator) -> tuple[Record, Record]:

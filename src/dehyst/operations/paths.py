@@ -101,7 +101,7 @@ def reach_remarks(
     cold, degrees = wanted, ""
     if actuator.thermal is not None and temperature is not None:
         cold = actuator.thermal.at_reference(wanted, temperature)
-        lows, highs = (actuator.thermal.warmed(ends, temperature) for ends in (lows, highs))
+        lows, highs = (actuator.thermal.warmed(edge, temperature) for edge in (lows, highs))
         words = dict.fromkeys(f"{end:.4g}" for end in (np.min(temperature), np.max(temperature)))
         degrees = f" at {' to '.join(words)} degC"
     low, high, least, most = (1e6 * float(end) for end in (lows.max(), highs.min(), wanted.min(), wanted.max()))
@@ -119,7 +119,7 @@ def reach_remarks(
     margin = _ROUNDING * 1e-6 * (high - low)
     if np.all((lows - margin <= wanted) & (wanted <= highs + margin)):
         return []
-    volts = ends(*compensator.limits, "V")
+    volts = compensator._axes[0].bounds.words
     return [f"the path covers {ends(least, most, 'um')}, with {volts} {reached}; {advice}"]
 
 

@@ -16,7 +16,7 @@ JOURNEY: dict[str, dict[str, tuple[str, str]]] = {
     },
     "Excite and record": {
         "excite": ("waves", "Write the voltage of an excitation to play"),
-        "show": ("show", "How a file is understood, with a drawing"),
+        "show": ("show", "How a file is understood"),
         "calibrate": ("bench", "Do the whole experiment on an instrument"),
     },
     "Identify and know": {

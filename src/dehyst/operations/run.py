@@ -167,7 +167,6 @@ def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path], kept: Sequen
             raise FileFormatError(f"{output}: is a folder; give the name of a file in it")
         if not Path(os.path.realpath(output)).parent.is_dir():
             raise FileFormatError(f"{output}: the folder {output.parent} does not exist; create it first")
-        # A device such as /dev/null, and a pipe, are written to.
         if os.path.isfile(output) and not force:  # noqa: PTH113
             raise FileFormatError(f"{output}: is there already; give another name, or --force to replace it")
 

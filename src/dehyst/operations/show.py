@@ -21,9 +21,6 @@ from dehyst.operations.run import Result, Run, files
 from dehyst.records import Record, Table, table_of, write_record
 from dehyst.records.files import record_of
 
-# Size of the drawing.
-_WIDTH, _HEIGHT = 60, 16
-
 
 def _of_record(given: Values) -> str:
     return "with a model" if is_model(given["file"]) else ""
@@ -37,7 +34,7 @@ def show(
     columns: Columns = option(Columns.about, AS_COLUMNS, _of_record, default=AS_FOUND),
     save: Path | None = option("Write the columns here as text, for --columns @FILE.", OUTPUT, _of_record),
 ) -> Result:
-    """Print how a FILE is understood: columns, units, sample rate, cycles and problems; and draw its loop.
+    """Print how a FILE is understood: columns, units, sample rate, cycles and problems.
 
     The status is 2 if the file is not a record; the message then suggests columns. For a model, its parts are printed.
     """
@@ -79,9 +76,9 @@ def _column_lines(table: Table) -> Iterator[str]:
     width = max(6, *(min(len(column.name), 60) for column in table.columns))
     yield f"  {'column':<{width}}  {'unit':<8}range"
     for column in table.columns:
-        span, missing = _span(column.data), np.sum(~np.isfinite(column.data))
-        lost = f"{counted(missing, 'value')} not finite" if missing else ""
-        words = column.fault or ", ".join(filter(None, (span and ends(*span), lost)))
+        known, size = column.data[np.isfinite(column.data)], column.data.size
+        lost = f", {counted(size - known.size, 'value')} not finite" if size > known.size else ""
+        words = column.fault or f"{span_of(known, '')}{lost}"
         yield f"  {column.name[:60]:<{width}}  {(column.parts[1] or '-')[:7]:<8}{words}"
 
 
@@ -105,19 +102,19 @@ class _AxisView:
             column = used.get(quantity) or getattr(self.columns, quantity) or quantity
             return f"'{column}'{f', {scale}' if scale else ''}{mark}"
 
-        (v0, v1), (y0, y1) = record.voltage_range, _span(record.displacement * 1e6)
         noise = "" if record.measured is not None else f", noise {digits(record.noise * 1e9)} nm"
+        moved = record.displacement[np.isfinite(record.displacement)]
         ranges = {
             "time": f"{ends(record.time[0], record.time[-1], 's')}, {1 / record.sample_time:.6g} Hz",
-            "voltage": f"{ends(v0, v1, 'V')}, {counted(len(record.cycles()), 'cycle')}",
-            "displacement": f"{ends(y0, y1, 'um')}{noise}",
+            "voltage": f"{span_of(record.voltage, 'V')}, {counted(len(record.cycles()), 'cycle')}",
+            "displacement": f"{span_of(moved, 'um', 1e6)}{noise}",
         }
         for channel in record.others:
             ranges[channel.name] = span_of(channel.values, channel.unit)
         return [(quantity, origin(quantity), words) for quantity, words in ranges.items()]
 
     def lines(self) -> Iterator[str]:
-        """Yield how the columns are understood, suspicious properties, and the loop."""
+        """Yield how the columns are understood, and suspicious properties."""
         rows = self.understood()
         width = max(len(column) for _, column, _ in rows)
         yield ""
@@ -125,26 +122,19 @@ class _AxisView:
             yield f"Axis {self.name}"
         for quantity, column, words in rows:
             yield f"{quantity + ':':<14}{column:<{width}}  {words}"
-        problems = self.problems()
+        problems = [*self.unusable, *self.record.problems()]
         yield ""
         yield "Notes:" if problems else "No problems found."
         yield from (f"  - {sentence}" for sentence in problems)
-        yield ""
-        shown = self.record if self.record.measured is None else self.record[self.record.measured]
-        yield from _drawing(shown.voltage, shown.displacement * 1e6, "voltage (V)", "displacement (um)")
 
     @cached_property
-    def unusable(self) -> str:
+    def unusable(self) -> list[str]:
         """Why no loop can be identified from the record; empty if one can."""
         try:
             self.record.check_usable()
         except RecordError as error:
-            return f"Not usable for an identification: {error}."
-        return ""
-
-    def problems(self) -> list[str]:
-        """Return why no loop can be identified from the record, and other suspicious properties."""
-        return [*filter(None, [self.unusable]), *self.record.problems()]
+            return [f"Not usable for an identification: {error}."]
+        return []
 
     def fields(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -161,23 +151,5 @@ class _AxisView:
             "noise_nm": 1e9 * record.noise,
             "cycles": len(record.cycles()),
             "usable": not self.unusable,
-            "problems": self.problems(),
+            "problems": [*self.unusable, *self.record.problems()],
         }
-
-
-def _drawing(x: Any, y: Any, x_label: str, y_label: str) -> list[str]:
-    """Return the lines of a plot of finite arrays (n,), with the ends of both ranges at its axes."""
-
-    def places(values: Any, count: int) -> Any:
-        low, span = float(np.min(values)), float(np.ptp(values)) or 1.0
-        return np.minimum(((np.asarray(values) - low) / span * count).astype(np.intp), count - 1)
-
-    cells = np.full((_HEIGHT, _WIDTH), " ")
-    cells[_HEIGHT - 1 - places(y, _HEIGHT), places(x, _WIDTH)] = "*"
-    ends = [f"{value:.4g}" for value in (float(np.max(y)), float(np.min(y)))]
-    margin = max(map(len, ends))
-    marks = {0: ends[0], _HEIGHT - 1: ends[1]}
-    rows = [f"{marks.get(k, ''):>{margin}} |{''.join(row)}".rstrip() for k, row in enumerate(cells)]
-    low, high = f"{float(np.min(x)):.4g}", f"{float(np.max(x)):.4g}"
-    below = f"{low}{x_label:^{_WIDTH - len(low) - len(high)}}{high}"
-    return [f"{'':>{margin}}  {y_label}", *rows, f"{'':>{margin}} +{'-' * _WIDTH}", f"{'':>{margin}}  {below}"]

@@ -50,13 +50,11 @@ def simulate(
         for outside, path, delay in zip(outsides, paths, [actuator.delay for actuator in known.actuators], strict=True)
     )
     far = any(outside.far for outside in outsides)
-    costs = [path.promise.parts.get("temperature", 0.0) if path.promise else 0.0 for path in paths]
     fields = {
         "samples": len(given),
         "outside": known.by_axis(outside.count for outside in outsides),
         "far_outside": known.by_axis(outside.far for outside in outsides),
         **known.merged([starts.path_start_fields(path) for path in paths]),
-        "temperature_cost_um": known.by_axis(1e6 * cost for cost in costs),
         "warnings": warnings,
         "state": known.by_axis(path.state.as_dict() for path in paths),
         "output": str(output),

@@ -14,11 +14,11 @@ from dehyst.control.planning.ways import MOST_ROWS
 from dehyst.operations.command import (
     NUMBER,
     Declaration,
-    Kinds,
     Parsed,
     argument,
     command,
     flag,
+    kinds,
     number,
     option,
     output,
@@ -60,10 +60,10 @@ _DRIVEN: dict[str, Declaration] = {
 }
 _VOLTAGE, _VOLTAGES = {"highest": argument(NUMBER)}, {"highest": argument(NUMBER, nargs=-1)}
 
-excite = Kinds(
+excite = kinds(
     "excite", help="Write the voltage of an excitation, to play and record; each KIND has a help of its own."
 )
-scan = Kinds(
+scan = kinds(
     "scan",
     help="Write the path of a scan: time and displacement of each axis; compensate computes its voltages.\n\n"
     "KIND: triangle or steps of one axis; raster of two. Each has a help of its own.",

@@ -176,7 +176,7 @@ class Sampling:
                 keep(self, **{name: positive(getattr(self, name), name)})
         if self.rate < 2 * _BRANCH_SAMPLES * self.frequency:
             got, hint = f"{self.rate:g} Hz for {self.frequency:g} Hz", f"try {_CYCLE_SAMPLES * self.frequency:g} Hz"
-            raise RecordError(argument="sample_rate, frequency", got=got, need="8 samples a cycle", hint=hint)
+            raise RecordError(argument="sample_rate", got=got, need="8 a cycle", hint=hint, change=("frequency",))
         if self.limits is not None:
             low, high = interval(self.limits, error=RecordError)
             keep(self, limits=(volts(low, "limits"), volts(high, "limits")))
