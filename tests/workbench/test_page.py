@@ -25,7 +25,13 @@ LONGEST = 60_000
 
 @pytest.fixture(scope="module")
 def workbench(tmp_path_factory):
-    with served(tmp_path_factory.mktemp("page") / "bench") as running:
+    """A workbench; `opened` is the file in which its browser, a script, writes what it was asked to open."""
+    folder = tmp_path_factory.mktemp("page")
+    opener, opened = folder / "opener", folder / "opened"
+    opener.write_text(f'#!/bin/sh\necho "$1" > {opened}.new\nmv {opened}.new {opened}\n')
+    opener.chmod(0o755)
+    with served(folder / "bench", browser=str(opener)) as running:
+        running.opened = opened
         yield running
 
 
@@ -56,22 +62,37 @@ def shortest_way(page, loops):
     return page, clicks, download.value.path().read_text(), time.monotonic() - began
 
 
-def test_the_private_file_leads_a_browser_in(browser, tmp_path):
-    opener, seen = tmp_path / "opener", tmp_path / "seen"
-    opener.write_text(f'#!/bin/sh\necho "$1" > {seen}.new\nmv {seen}.new {seen}\n')
-    opener.chmod(0o755)
-    with served(tmp_path / "bench", browser=str(opener)) as running:
-        deadline = time.monotonic() + 60
-        while not seen.exists() and time.monotonic() < deadline:
-            time.sleep(0.05)
-        argument = seen.read_text().strip()
-        assert argument.startswith("file://") and "token=" not in argument
-        context = browser.new_context()
-        page = context.new_page()
-        page.goto(argument)
-        sync_api.expect(page.locator("#connection")).to_have_text("Connected", timeout=LONGEST)
-        assert page.url.startswith(running.base)
-        context.close()
+def test_the_private_file_leads_a_browser_in(browser, workbench):
+    deadline = time.monotonic() + 60
+    while not workbench.opened.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    argument = workbench.opened.read_text().strip()
+    assert argument.startswith("file://") and "token=" not in argument
+    context = browser.new_context()
+    page = context.new_page()
+    page.goto(argument)
+    sync_api.expect(page.locator("#connection")).to_have_text("Connected", timeout=LONGEST)
+    assert page.url.startswith(workbench.base)
+    context.close()
+
+
+def test_an_empty_page_shows_what_a_record_is_and_has_one_to_try(browser, workbench):
+    with visit(browser, workbench) as visitor:
+        page = visitor.page
+        sample = page.locator(".drop pre")
+        for width in (1400, 400):
+            page.set_viewport_size({"width": width, "height": 900})
+            assert "displacement_um" in sample.inner_text()
+            assert sample.evaluate("one => one.scrollWidth - one.clientWidth") <= 0
+        said = page.inner_text("#drop")
+        assert all(name in said for name in ("CSV", "Excel", "LabVIEW", "MATLAB", "HDF5"))
+        page.click("#example")
+        ready = page.locator("#record-list .card.ready")
+        sync_api.expect(ready).to_have_count(1, timeout=LONGEST)
+        assert ready.locator("h3").all_inner_texts() == ["virtual-loops"]
+        assert page.locator("#identify").is_enabled()
+        page.click('[aria-label="Remove virtual-loops from the list"]')
+        ready.wait_for(state="detached")
 
 
 def test_a_voltage_takes_five_clicks_and_two_minutes(journey):
@@ -256,23 +277,6 @@ def test_a_phone_has_room_for_all_steps(journey):
     sync_api.expect(page.get_by_text("Choose a file")).to_be_visible()
     sync_api.expect(page.locator("#identify")).to_be_visible()
     page.set_viewport_size({"width": 1400, "height": 900})
-
-
-def test_an_empty_page_shows_what_a_record_is_and_has_one_to_try(browser, tmp_path):
-    with served(tmp_path / "new") as running, visit(browser, running) as visitor:
-        page = visitor.page
-        sample = page.locator(".drop pre")
-        for width in (1400, 400):
-            page.set_viewport_size({"width": width, "height": 900})
-            assert "displacement_um" in sample.inner_text()
-            assert sample.evaluate("one => one.scrollWidth - one.clientWidth") <= 0
-        said = page.inner_text("#drop")
-        assert all(name in said for name in ("CSV", "Excel", "LabVIEW", "MATLAB", "HDF5"))
-        page.click("#example")
-        ready = page.locator("#record-list .card.ready")
-        sync_api.expect(ready).to_have_count(1, timeout=LONGEST)
-        assert ready.locator("h3").all_inner_texts() == ["virtual-loops"]
-        assert page.locator("#identify").is_enabled()
 
 
 @pytest.fixture
