@@ -7,7 +7,6 @@ import random
 import re
 import struct
 import zipfile
-from collections.abc import Callable
 
 from file_specimens import npz_parts
 
@@ -144,26 +143,29 @@ def _rows(content: bytes, dice: random.Random, _: list[bytes]) -> bytes:
 
 def _in_npz(content: bytes, dice: random.Random, others: list[bytes]) -> bytes:
     """Members damaged and packed again with right checksums; headers of arrays edited."""
-    try:
-        parts = npz_parts(content)
-    except Exception:  # damaged by an earlier mutation
-        return content
-    if not parts:
-        return content
-    name = dice.choice(sorted(parts))
-    if dice.random() < 0.6:
+
+    def edited(part: bytes) -> bytes:
         shape = dice.choice((b"(%d,)" % dice.choice(_INTEGERS), b"(-1,)", b"()", b"(240, 1)", b"(0,)", b"(1.5,)"))
         descr = dice.choice((b"'<f8'", b"'>f8'", b"'|O'", b"'<f2'", b"'<i8'", b"'<U9'", b"'<f16'", b"[('a', '<f8')]"))
-        parts[name] = re.sub(rb"\(\d*,?[^)]*\)", lambda _: shape, parts[name], count=1)
-        parts[name] = re.sub(rb"'[<|>][a-zA-Z]\d*'", lambda _: descr, parts[name], count=dice.choice((0, 1)))
-    else:
-        way: Callable[..., bytes] = dice.choice((_flip, _integer, _cut, _double, _splice))
-        parts[name] = way(parts[name], dice, others)
-    return _packed(parts, dice)
+        part = re.sub(rb"\(\d*,?[^)]*\)", lambda _: shape, part, count=1)
+        return re.sub(rb"'[<|>][a-zA-Z]\d*'", lambda _: descr, part, count=dice.choice((0, 1)))
+
+    return _repacked(content, dice, others, edited, (_flip, _integer, _cut, _double, _splice))
 
 
 def _in_xlsx(content: bytes, dice: random.Random, others: list[bytes]) -> bytes:
     """Parts of a workbook damaged within, and packed again with right checksums; ranges and places of cells edited."""
+
+    def edited(part: bytes) -> bytes:
+        places = (b"A1", b"XFD1", b"A1048576", b"ZZZZ99999999", b"A0", b"", b"A1:A1", b"A1:XFD1048576", b"-1")
+        place, count = dice.choice(places), dice.choice((1, 1, 20))
+        return re.sub(rb'\br(ef)?="[^"]*"', lambda m: b'r%s="%s"' % (m[1] or b"", place), part, count=count)
+
+    return _repacked(content, dice, others, edited, (_flip, _cut, _splice, _repeat, _insert, _rows))
+
+
+def _repacked(content, dice, others, edited, ways):
+    """One part of a ZIP archive edited, or damaged by one of some ways; sheets more often than others."""
     try:
         parts = npz_parts(content)
     except Exception:  # damaged by an earlier mutation
@@ -171,19 +173,10 @@ def _in_xlsx(content: bytes, dice: random.Random, others: list[bytes]) -> bytes:
     if not parts:
         return content
     name = dice.choice([*parts, *(part for part in parts if "sheet" in part)])
-    place = dice.choice((b"A1", b"XFD1", b"A1048576", b"ZZZZ99999999", b"A0", b"", b"A1:A1", b"A1:XFD1048576", b"-1"))
-    if dice.random() < 0.5:
-        count = dice.choice((1, 1, 20))
-        parts[name] = re.sub(
-            rb'\br(ef)?="[^"]*"', lambda m: b'r%s="%s"' % (m[1] or b"", place), parts[name], count=count
-        )
+    if dice.random() < 0.55:
+        parts[name] = edited(parts[name])
     else:
-        way: Callable[..., bytes] = dice.choice((_flip, _cut, _splice, _repeat, _insert, _rows))
-        parts[name] = way(parts[name], dice, others) if parts[name] else b""
-    return _packed(parts, dice)
-
-
-def _packed(parts: dict[str, bytes], dice: random.Random) -> bytes:
+        parts[name] = dice.choice(ways)(parts[name], dice, others) if parts[name] else b""
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", dice.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as archive:
         for member, data in parts.items():

@@ -211,15 +211,6 @@ def test_no_branch_falls(monkeypatch):
         assert (np.diff(v) / np.diff(path)).min() > program.floor * (1 - 1e-3)
 
 
-@pytest.mark.parametrize("structure", [Structure(elements=1), Structure(elements=1, grades=3, smooth=True)])
-def test_without_a_movable_element_the_rest_is_found(structure):
-    plant = wide.plant(replace(structure, knots=7))
-    program = wide.program(plant.grid, [plant.record()])
-    found = program.solved()
-    assert found.stiffness.shape == (1, structure.grades)
-    assert np.abs(program.residual(found)).max() < 1e-9 * STROKE
-
-
 def grid(**changes):
     return Structure(**{"elements": 6, "knots": 5, "grades": 3, "transformer": 6, **changes}).grid(
         (0.0, STROKE), (0.0, VOLTS)
@@ -278,13 +269,6 @@ def test_a_step_that_looks_at_the_deadline_is_left():
     # Outside of a step progress is only reported.
     report("finishing")
     assert said == ["begins", "finishing"]
-
-
-def test_an_error_in_a_step_is_an_error():
-    deadline = Deadline()
-    with pytest.raises(ZeroDivisionError):
-        deadline.attempt(lambda: 1 / 0, 0, "a step")
-    assert deadline.cut == []
 
 
 def test_a_signal_handler_leaves_a_step_that_looks_at_nothing():

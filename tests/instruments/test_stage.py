@@ -235,10 +235,6 @@ class TestAddresses:
         with served() as (server, _), pytest.raises(RigError, match="1, 3"):
             open_rig(f"pi://127.0.0.1:{server.port}/1,2", ["1", "3"])
 
-    def test_an_axis_that_is_not_there_is_refused(self):
-        with served() as (server, _), pytest.raises(RigError, match="the axis '4', it has 1, 2, 3"):
-            open_rig(f"pi://127.0.0.1:{server.port}", ["1", "4"])
-
     def test_what_is_of_one_axis_is_asked_of_the_rig_of_each(self):
         with served() as (server, _), rig_of(server) as rig:
             for ask in (lambda: rig.limits, lambda: rig.slew_rate, lambda: rig.set_voltage(1.0), rig.read):

@@ -189,26 +189,6 @@ def test_the_actuator_creeps_in_idle_time_and_an_idle_hour_costs_little():
     assert at_the_end(500)[1] == pytest.approx(once, rel=1e-9)
 
 
-def test_speed_makes_the_device_faster_than_the_clock(hand):
-    bench = VirtualBench(PlayActuator(plays=10), clock=hand, speed=50.0)
-    bench.start(np.linspace(0, 100, 1001), divider=20)
-    hand.wait(0.01)
-    assert bench.now == pytest.approx(0.5)
-    assert bench.recorded == 501
-
-
-def test_a_stalled_generator_plays_no_more_and_does_not_end(hand):
-    bench = VirtualBench(PlayActuator(plays=10), clock=hand)
-    bench.start(np.linspace(0, 100, 11), divider=20)
-    hand.wait(0.0035)
-    assert bench.recorded == 4
-    bench.axis.stalled = True
-    hand.wait(100)
-    assert (bench.recorded, bench.playing) == (4, True)
-    bench.stop()
-    assert not bench.playing
-
-
 @pytest.mark.parametrize("kind", [kind if kind == "play" else at_night(kind) for kind in VIRTUAL])
 def test_a_long_record_takes_seconds_at_most_and_comes_in_lots(kind):
     protocol = standard.descending_tops(150.0, drive=Sampling(sample_rate=200, frequency=0.1, limits=(0, 200)))

@@ -6,7 +6,6 @@ from hand_clock import Hand
 from truths import PreisachActuator
 
 from dehyst import ModelError
-from dehyst.instruments import DeviceError
 from dehyst.virtual import PlayActuator, VirtualBench, VirtualStage
 
 COUPLING = np.array([[1.0, 0.04], [-0.03, 1.0]])
@@ -27,14 +26,6 @@ def test_displacements_are_the_matrix_times_those_of_the_actuators():
     alone = np.column_stack([actuator.play(v[:, j], measured=False) for j, actuator in enumerate(pair())])
     y = VirtualStage(pair(), COUPLING).play(v, measured=False)
     np.testing.assert_allclose(y, alone @ COUPLING.T, rtol=0, atol=1e-18)
-
-
-def test_a_voltage_goes_on_from_the_last_one():
-    v, once, twice = waves(), VirtualStage(pair(), COUPLING), VirtualStage(pair(), COUPLING)
-    parts = np.vstack([twice.play(v[:150], measured=False), twice.play(v[150:], measured=False)])
-    np.testing.assert_array_equal(once.play(v, measured=False), parts)
-    twice.relax()
-    np.testing.assert_array_equal(twice.play(v, measured=False)[:150], parts[:150])
 
 
 @pytest.mark.parametrize(
@@ -88,25 +79,3 @@ def test_an_axis_that_stands_is_recorded_too():
     _, voltage, displacement = stage.samples(axis=1)
     assert set(voltage) == {30.0}
     assert np.ptp(displacement) == pytest.approx(0.03 * np.ptp(stage.samples(axis=0)[2]), rel=1e-3)
-
-
-def test_of_waves_one_of_which_is_refused_none_is_played():
-    hand, v = Hand(), waves()
-    stage = bench(hand, limits=[(0, 120), (0, 100)])
-    with pytest.raises(DeviceError, match="start: got"):
-        stage.start({0: v[:, 0], 1: v[:, 1]})
-    assert not stage.playing
-    assert [axis.log.highest for axis in stage.axes] == [0.0, 0.0]
-    assert stage.axes[1].log.refused == 1
-
-
-def test_a_second_wave_needs_the_first_to_end():
-    hand, v = Hand(), waves()
-    stage = bench(hand)
-    stage.start({0: v[:, 0]})
-    with pytest.raises(DeviceError, match="wave is being"):
-        stage.start({1: v[:, 1]})
-    stage.stop()
-    assert not stage.playing
-    stage.start({1: v[:, 1]})
-    assert stage.playing
