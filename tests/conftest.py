@@ -18,7 +18,7 @@ from workbench_page import chromium
 from dehyst._threads import one_thread
 from dehyst.exports.model_header import config_header
 
-# A runner in the background may ignore Ctrl-C and a hang-up, and its children then would: the tests mean them.
+# A runner in the background may ignore Ctrl-C and a hang-up; processes of the tests must not.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 

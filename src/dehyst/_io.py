@@ -38,7 +38,7 @@ _HEAD = 4096
 _FORMAT = re.compile(rb'(?:\xef\xbb\xbf)?\s*\{\s*"format"\s*:\s*"([a-z-]+)"|# (dehyst-scan): ')
 # Types of data that are no file.
 _ARRAYS = ("DataFrame", "ndarray")
-# A model has some hundred numbers, a calibration's results some ten thousand.
+# A model has hundreds of numbers, the results of a calibration tens of thousands.
 _MOST_JSON = 100_000_000
 
 

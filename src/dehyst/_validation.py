@@ -49,7 +49,7 @@ def keep(owner: object, **fields: Any) -> None:
 def untimely(time: Array, samples: int) -> str:
     """Return an error for the times of a number of samples: a wrong number, or where they do not increase."""
     if time.size != samples:
-        return f"time: got {time.size} values for {samples} samples, need one a sample"
+        return f"time: got {time.size} values for {samples} samples, need one per sample"
     k = int(np.argmax(np.diff(time) <= 0)) + 1
     got = f"got {time[k]:.9g} s after {time[k - 1]:.9g} s at value {k}"
     return f"time: {got}, need strictly increasing times; sort the samples, and leave out those that repeat a time"
@@ -143,7 +143,7 @@ def interval(limits: Sequence[float], *, error: type[DehystError] = ModelError) 
     pair = plain(limits, "limits", error=error)
     ends = [number(end, "limits", error=error) for end in pair] if isinstance(pair, Sequence | np.ndarray) else []
     if len(ends) != 2 or ends[0] >= ends[1]:
-        got, need = " and ".join(f"{end:g}" for end in ends), "two finite voltages, the lower one first"
+        got, need = " and ".join(f"{end:g}" for end in ends) or limits, "two finite voltages, the lower one first"
         raise error(argument="limits", got=got, need=need)
     demand_computable(ends, "limits [V]", most=MOST_ADDED, error=error)
     return ends[0], ends[1]

@@ -1,4 +1,4 @@
-"""Many records identified at once by Dask: one table with one row a record, continued where it ends."""
+"""Many records identified at once by Dask: one table with one row per record, continued where it ends."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def identify_fleet(
     again: bool = False,
     progress: Progress | None = None,
 ) -> FleetTable:
-    """Identify each record with all defaults of `dehyst.identify`, and write one table with one row a record.
+    """Identify each record with all defaults of `dehyst.identify`, and write one table with one row per record.
 
     Records whose names are in the table already keep their rows; only the others are computed. The table is written
     again every few seconds, and whole, so that a run that was stopped or killed is continued by the same call.

@@ -66,7 +66,7 @@ def test_a_face_only_imports_and_lists(face):
     assert all(isinstance(node, ast.ImportFrom) for node in statements)
 
 
-def test_what_a_face_offers_is_public_or_imported_by_another_room():
+def test_every_name_of_a_face_is_public_or_imported_by_another_room():
     used = {(source, name) for _, source, name in crossing()}
     rivals = map(ast.parse, (path.read_text() for path in places.RIVALS.rglob("*.py")))
     used |= {(statement.module, statement.name) for tree in rivals for statement in architecture.imports(tree)}

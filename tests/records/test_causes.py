@@ -291,7 +291,7 @@ def test_a_butterfly_is_refused_with_the_voltages_to_record(low, high, noise, si
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-7])
-def test_loops_within_the_coercive_field_are_none(noise):
+def test_loops_within_the_coercive_field_are_no_butterflies(noise):
     butterfly(-40, 120, noise).check_usable()
     # With an inverted sensor; poled the other way and kept there: the whole displacement falls.
     for falling, words in (

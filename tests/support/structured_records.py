@@ -113,7 +113,7 @@ def _transformer(grid, rng):
 
 
 def moved_along(grid, piece, lead):
-    """What `dehyst.identification.regressors.internal_states` returns, by the parts of a model."""
+    """Compute the result of `dehyst.identification.regressors.internal_states` with the parts of a model."""
     smooth = SmoothSlip(grid.lengths, grid.closings, np.zeros(grid.lengths.size))
     y = piece.displacement
     if lead is not None and lead.time[-1] < piece.time[0] <= lead.time[-1] + 1.5 * lead.sample_time:

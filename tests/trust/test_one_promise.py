@@ -79,7 +79,7 @@ def test_five_commands_promise_the_same(name, tmp_path):
         other = answer("compensate", "m.json", "path.csv", "-o", "s.csv", *more, cwd=tmp_path)["promise"]
         seen = answer("insight", "m.json", "r.csv", "--trajectory", "path.csv", *more, cwd=tmp_path)["promise"]
         assert seen == other != there
-    # Both judge alike whether the voltages can follow a path.
+    # Both give the same answer to whether the voltages can follow a path.
     write_columns(
         tmp_path / "far.csv", {"time_s": time, "displacement_um": np.linspace(5, 1.02e6 * y.max(), time.size)}
     )

@@ -90,7 +90,7 @@ class PathPlanner:
         actuators = model.actuators if isinstance(model, Stage) else (model,)
         zeros = zip(actuators, wanted.T, homed.zero.tolist(), strict=True)
         ahead = np.column_stack([np.interp(time + axis.delay, time, column) - zero for axis, column, zero in zeros])
-        # A path that leads is planned as without a delay.
+        # As the path already leads, the plan has no delay.
         still = tuple(replace(axis, delay=0.0) for axis in actuators)
         # The path stays where it is while the temperature drifts.
         warmth = later_temperature(model, before[-1], self.homing.duration + time)

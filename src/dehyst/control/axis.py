@@ -158,7 +158,7 @@ class Axis:
         return stray_sentence(self.actuator, self.bounds, displacement)
 
     def call(self, function: Callable[[float], float], displacement: float) -> float:
-        """Return the voltage [V] of a step or an offer of the loop for a displacement [m, or its unit]."""
+        """Return the voltage [V] for a displacement [m, or its unit], by a `function` of the loop."""
         try:
             return function(displacement)
         except TypeError:
@@ -221,7 +221,7 @@ class Axis:
 
 
 def restore_all(axes: Sequence[Axis], snapshots: Any) -> None:
-    """Continue from `snapshots`, one an axis; raise `ModelError` as `Compensator.restore`: the memory is unchanged."""
+    """Continue from `snapshots`, one per axis; raise `ModelError` as `Compensator.restore`: the memory is unchanged."""
     given = len(snapshots) if isinstance(snapshots, Sequence) else type(snapshots).__name__
     if given != len(axes):
         raise ModelError(argument="snapshot", got=str(given), need=f"{len(axes)}, one for each")
@@ -243,7 +243,7 @@ def axes_of(
 ) -> tuple[Axis, ...]:
     """Return the axis of each of several actuators; an error begins with its name.
 
-    `limits`, `slew_rate`, `state`: one or one an actuator. `runs`: whether a missing period is an error. `options`:
+    `limits`, `slew_rate`, `state`: one or one per actuator. `runs`: whether a missing period is an error. `options`:
     further fields of all.
     """
     given = {"limits": limits, "slew_rate": slew_rate, "state": state}

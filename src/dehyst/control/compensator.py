@@ -38,13 +38,13 @@ class Compensator:
     Parameters
     ----------
     model : Actuator or Stage
-    limits : (float, float), or one an axis, optional
+    limits : (float, float), or one per axis, optional
         Lowest and highest voltage [V]; default (None): the actuator's, usually the range of its training records.
-    slew_rate : float, or one an axis, optional
+    slew_rate : float, or one per axis, optional
         Largest abs(dv/dt) [V/s] between samples; default (None): not limited.
     period : float, optional
         Seconds between steps; needed with a slew rate or `preview`, and by an actuator with creep, dynamics or a lag.
-    state : State, or one an axis, optional
+    state : State, or one per axis, optional
         Initial state of the actuator, e.g. after a homing. If its voltage lies outside the limits, the actuator is
         assumed to have moved to the nearest limit. Default: the actuator's own, for an identified model the top of its
         records, so that the first voltages lie near the highest; of a stage, if this is outside the limits, the state
@@ -312,9 +312,9 @@ class Compensator:
 
         Parameters
         ----------
-        gain, offset : float, or one an axis, optional
+        gain, offset : float, or one per axis, optional
             Gain, and offset [m, or `units`]; without a gain nothing changes.
-        temperature : float, or one an axis, optional
+        temperature : float, or one per axis, optional
             [degC], instead of them: of the actuators that depend on temperature. Others keep gain and offset.
 
         Returns
@@ -364,7 +364,7 @@ class Compensator:
             return [number(values, what)]
         numbers, count = vector(values, what), len(self._axes)
         if numbers.size != count:
-            raise ModelError(argument=what, got=f"{numbers.size} values", need=f"{count}, one an axis")
+            raise ModelError(argument=what, got=f"{numbers.size} values", need=f"{count}, one per axis")
         return list(numbers.tolist())
 
 

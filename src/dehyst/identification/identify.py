@@ -322,7 +322,7 @@ class _Run:
         return caveats, lag_open
 
     def outcome(self, errors: Sequence[RecordErrors]) -> Outcome:
-        """Return how the identification ended, by the errors of all records."""
+        """Return the outcome of the identification from the errors of all records."""
         missed = {error.role for error in errors if error.settled_largest > 0.01 * RULES.useless * self.stroke}
         if not missed:
             return Outcome.IDENTIFIED if self.determined else Outcome.UNDETERMINED

@@ -162,7 +162,7 @@ class Parts:
         return found
 
     def _for_each_record(self, columns: Array) -> Array:
-        """Return columns (n, k) as one block a record (n, R k)."""
+        """Return columns (n, k) as one block per record (n, R k)."""
         count = len(self.training)
         own = self.rows.record[:, None] == np.arange(count)
         return np.asarray((own[:, :, None] * columns[:, None, :]).reshape(len(columns), -1))

@@ -142,7 +142,7 @@ class Trace:
 
     @property
     def settled(self) -> Trace:
-        """The trace from the second turning point of its voltage on, its first sample aside; all of it without one."""
+        """The trace after the second turning point of its voltage, without the first sample; else the whole trace."""
         turns = turning_points(self.voltage, 0.02 * float(np.ptp(self.voltage)))
         later = turns[turns > 0]
         at = int(later[1]) if len(later) > 2 else 0

@@ -2,13 +2,13 @@
 
     minimise || W (F a + P x - b) ||_2,   a free,   x >= 0,   C x >= l
 
-Programs are solved from their sums G = A'A and c = A'b; those of programs that differ by a few rows are differences. A
-guess says which coefficients move and which inequalities are met with equality. Its equations say which of these are
-wrong; all of them change sides at once, or the last alone where that makes nothing better (block principal pivoting
-with Murty's rule; Portugal, Judice and Vicente 1994, Math. Comput. 63, 625). From the active set of a program nearby
+A program is solved from its sums G = A'A and c = A'b; those of rows that are left out are subtracted. A guess says
+which coefficients are positive and which inequalities hold with equality. The solution of its equations shows which of
+these are wrong. All wrong ones change sides at once, or if that does not help, only the last one (block principal pivoting
+with Murty's rule; Portugal, Judice and Vicente 1994, Math. Comput. 63, 625). If the guess comes from a similar program,
 this takes a few Cholesky factors.
 
-Where columns depend on one another it may go round: again with a ridge, with which they do not. Where inequalities do:
+If columns depend on one another, this may never end: then a ridge makes them independent. If inequalities do:
 non-negative least squares of the dual (Lawson and Hanson 1974, chapter 23), which know of inequalities that contradict
 one another.
 """
@@ -203,7 +203,7 @@ def _on_face(program: _Program, moving: Mask, active: Mask, ridge: float) -> _Fa
 
 
 def _by_dual(program: _Program) -> _Face:
-    """Return the point within all limits that is nearest to the free minimum, by the forces that hold it there."""
+    """Return the minimum within all limits; the dual program finds the multipliers of the limits that it touches."""
     from scipy.linalg import LinAlgError, cholesky, solve_triangular
     from scipy.optimize import nnls
 

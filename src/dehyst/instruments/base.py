@@ -216,7 +216,7 @@ class AbstractRig(ABC):
         columns = columns_of(excitation.voltage)
         if len(columns) != len(self.axes) or (excitation.voltage.ndim > 1) != bool(self._parts):
             raise RecordError(
-                f"{excitation.name}: got {len(columns)} columns of voltage, need {len(self.axes)}, one an axis; "
+                f"{excitation.name}: got {len(columns)} columns of voltage, need {len(self.axes)}, one per axis; "
                 "nothing was sent"
             )
         rate = played_rate(self, excitation.sample_rate)

@@ -140,7 +140,7 @@ def names(lines: Sequence[str]) -> list[str]:
     """Return axes, from an answer of SAI?; raises LinkError."""
     axes = [line.strip() for line in lines]
     if len(set(axes)) != len(axes) or not axes or any(not _NAME.fullmatch(name) for name in axes):
-        raise LinkError(f"got {shown(lines)}, need the names of axes, one a line")
+        raise LinkError(f"got {shown(lines)}, need the names of axes, one per line")
     return axes
 
 

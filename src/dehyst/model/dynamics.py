@@ -132,7 +132,7 @@ class Thermal(Entries):
         given = np.atleast_1d(degrees(temperature, "temperature"))
         if each and given.size != samples:
             raise ModelError(
-                argument="temperature", got=f"{given.size} values for {samples} samples", need="one, or one a sample"
+                argument="temperature", got=f"{given.size} values for {samples} samples", need="one, or one per sample"
             )
         kelvins = given - self.reference
         gain = 1 + self.gain * kelvins

@@ -291,7 +291,7 @@ class Evaluator:
             )
         force = vector(load, "load")
         if force.size != samples:
-            raise ModelError(f"load: got {force.size} values for {samples} samples, need one a sample")
+            raise ModelError(f"load: got {force.size} values for {samples} samples, need one per sample")
         with np.errstate(over="ignore"):
             push = force / self.load_stiffness
         demand_result(push, "load over load_stiffness", FARTHEST)
@@ -313,7 +313,7 @@ class Evaluator:
             found = _spline_derivative(displacement, path, order) if values is None else vector(values, what)
             if found.size != displacement.size:
                 raise ModelError(
-                    argument=what, got=f"{found.size} values for {displacement.size} samples", need="one a sample"
+                    argument=what, got=f"{found.size} values for {displacement.size} samples", need="one per sample"
                 )
             columns.append(found)
         return columns[0], columns[1]

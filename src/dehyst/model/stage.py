@@ -102,7 +102,7 @@ class Stage(JsonFile):
             raise ModelError(
                 argument="coupling",
                 got=f"{table.shape[0]} x {table.shape[1]} numbers for {count} axes",
-                need="one a pair",
+                need="one per pair",
             )
         if np.any(np.diag(table) != 1):
             raise ModelError(
@@ -231,7 +231,7 @@ class Stage(JsonFile):
         """Call the actuator of each axis with its column of `given` (n, axes)."""
         count, motions = len(self.actuators), []
         if states is not None and len(states) != count:
-            raise ModelError(f"states: got {len(states)}, need {count}, one an axis")
+            raise ModelError(f"states: got {len(states)}, need {count}, one per axis")
         columns = given.T, self.temperatures(temperature, len(given)), states or [None] * count
         for axis, actuator, column, degrees, state in zip(self.axes, self.actuators, *columns, strict=True):
             options = {"time": time, "temperature": degrees, "state": state}

@@ -102,7 +102,7 @@ class TemperatureCost:
 
     @cached_property
     def kelvins(self) -> Array:
-        """Distance [K] from the tested temperatures, one or one a sample; of an unknown one from the reference."""
+        """Distance [K] from the tested temperatures, one or one per sample; of an unknown one from the reference."""
         if self.tested is None:
             return np.zeros(())
         low, high = self.tested
@@ -119,7 +119,7 @@ class TemperatureCost:
 
     @property
     def along(self) -> Array:
-        """The added error [m], one number or one a sample."""
+        """The added error [m], one number or one per sample."""
         return np.asarray(self.per_kelvin * self.kelvins)
 
     @property
@@ -165,7 +165,7 @@ def demand_thermal(*thermals: Thermal | None) -> Thermal:
 
 
 def temperature_columns(temperature: ArrayLike, samples: int, axes: int) -> Array:
-    """Return a temperature [degC] as (samples, axes): of one number, one a sample (samples,), or one an axis too.
+    """Return a temperature [degC] as (samples, axes): of one number, one per sample (samples,), or one per axis too.
 
     Raise `ModelError` if it has another shape.
     """
@@ -178,5 +178,5 @@ def temperature_columns(temperature: ArrayLike, samples: int, axes: int) -> Arra
         raise ModelError(
             argument="temperature",
             got=f"{np.shape(temperature) or repr(temperature)} for {samples} samples of {axes} axes",
-            need="one number, one a sample, or one a sample and axis",
+            need="one number, one per sample, or one per sample and axis",
         ) from error

@@ -20,7 +20,7 @@ def fleet(
     scheduler: str | None = option("Dask scheduler, as tcp://host:8786; default: a process for each processor."),
     columns: Columns = COLUMNS,
 ) -> Result:
-    """Identify each of RECORDS, a folder or files, and write one table with one row a record.
+    """Identify each of RECORDS, a folder or files, and write one table with one row per record.
 
     A file from which no model is identified is a row too, with the reason. The same command continues a run that was
     stopped: records whose names are in the table keep their rows.

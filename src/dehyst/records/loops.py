@@ -23,7 +23,7 @@ _POINTS, _EQUAL = 32, 0.02
 _AREA, _DEVIATIONS = 0.005, 5.0
 # A jump between sorted branches: part of the range, usual steps, and share of the other steps that go the other way.
 _JUMP, _STEPS, _OTHERS = 0.3, 10.0, 0.95
-# Branches are alike if they differ by this part of what others do.
+# Two branches are alike if they differ by at most this part of the difference of others.
 _ALIKE = 0.4
 # Most samples of a shift; least gain by it, as a part; least fall of the gain beyond it, over its rise.
 _LATE, _GAINED, _SHARP = 64, 5e-4, 0.7

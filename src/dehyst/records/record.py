@@ -127,7 +127,7 @@ class Record(Plotted):
         If arrays have a wrong shape or length, are no plain numbers, have fewer than 2 samples, or hold NaN, inf or
         numbers beyond 1e30; if the time does not rise; if the axes are not different names, one each; if one of
         `others` has no unit, has the name of another channel, or is a temperature outside of -273.15 to 1000 degC; or
-        if `hold` is another word, or `measured` is not one bool a sample.
+        if `hold` is another word, or `measured` is not one bool per sample.
     """
 
     time: Array
@@ -221,7 +221,7 @@ class Record(Plotted):
         if len(v) != 2 or v != y or v[0] != self.time.size or (v[1] == 1 and not self.axes):
             raise self._error(
                 f"got {self.time.size} times, voltages {v}, displacements {y} and the axes {self.axes!r}; need one "
-                "dimension, try .ravel(), or one row a sample and one column an axis in both"
+                "dimension, try .ravel(), or one row per sample and one column per axis in both"
             )
         return axis_names(self.axes or DEFAULT_AXES[: v[1]], v[1], f"record '{self.name}'", RecordError)
 

@@ -249,7 +249,7 @@ class _Refit:
         return Update(made, self.recheck, used, old, new, unseen, self._missing(made), -self.zero, unexplained)
 
     def _stretched(self) -> Actuator:
-        """Return the old model with the friction, and with or without the gain, that explain the record best.
+        """Return the old model with the friction that explains the record best; its gain may change too.
 
         A gain of the displacement scales all thresholds and places; one of the voltage is left to the stiffnesses.
         """

@@ -77,7 +77,7 @@ class VirtualStage:
         """
         v = matrix(voltage, "voltage")
         if v.shape[1] != len(self):
-            raise ModelError(argument="voltage", got=f"{v.shape[1]} columns", need=f"{len(self)}, one an axis")
+            raise ModelError(argument="voltage", got=f"{v.shape[1]} columns", need=f"{len(self)}, one per axis")
         for j in range(len(self)):
             self.drive(j, np.ascontiguousarray(v[:, j]), time)
         y = self.joined([motion[:, -len(v) :] for motion in self.take()])
@@ -115,6 +115,6 @@ def _square(values: ArrayLike, count: int, what: str) -> Array:
     table = matrix(values, what)
     if table.shape != (count, count):
         raise ModelError(
-            argument=what, got=f"{table.shape[0]} x {table.shape[1]} numbers for {count} axes", need="one a pair"
+            argument=what, got=f"{table.shape[0]} x {table.shape[1]} numbers for {count} axes", need="one per pair"
         )
     return table

@@ -117,7 +117,7 @@ def shortest_homing(
     Returns
     -------
     Homing
-        If limits or time do not suffice, the best one, not certified, with remarks on what it leaves and would need.
+        If limits or time do not suffice, the best homing: not certified, with remarks on its error and a remedy.
 
     Raises
     ------

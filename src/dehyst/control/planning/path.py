@@ -74,7 +74,7 @@ def plan_path(
     temperature : float, (n,) or (n, axes) array_like, optional
         [degC]; default: not known, and the compensator's `scale` counts. Without `thermal` it is only compared with the
         records'.
-    start : PossibleStart or State, or one an axis, optional
+    start : PossibleStart or State, or one per axis, optional
         The state before the path; default: unknown, at rest near the first sample.
     home : bool, optional
         Whether a homing comes first, or of a known start the way alone. Default: if an unknown start leaves a larger
@@ -82,7 +82,7 @@ def plan_path(
         that one step does not reach.
     home_within : float, optional
         Longest duration of homing and way [s]; a shorter one leaves a larger error of the start. Default: as necessary.
-    present : float, or one an axis, optional
+    present : float, or one per axis, optional
         Present voltage [V] of an unknown start, where the homing or the way begins. Default: 0 V or the nearest limit;
         without a homing, if none is given, at the first sample.
     on_time : bool, optional
@@ -152,7 +152,7 @@ class Part:
     error: StartError | None = None
 
     def lead(self, on_time: bool | None, *, timed: bool) -> None:
-        """Find by which delay the voltage leads a path that is `timed`, with a remark on it."""
+        """Find the delay by which the voltage leads a path with times (`timed`), and a remark on it."""
         known, delay = self.loop.actuator.identification, self.loop.actuator.delay
         lag_of = "" if known is None else known.lag_of
         leads = lag_of == "actuator" if on_time is None else on_time
@@ -207,7 +207,7 @@ class Part:
 class Task:
     """A path [m] or a voltage [V] of one axis or several, as `rows` (n, axes) at `time` (n,) [s] or None.
 
-    `parts`: one an axis. `ahead`: rows added before the path, as voltages lead it. `rates`: velocity [m/s] and
+    `parts`: one per axis. `ahead`: rows added before the path, as voltages lead it. `rates`: velocity [m/s] and
     acceleration [m/s^2] of the path of a single axis; by default those of its cubic spline.
     """
 
