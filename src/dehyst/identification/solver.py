@@ -4,7 +4,7 @@
 
 A program is solved from its sums G = A'A and c = A'b; those of rows that are left out are subtracted. A guess says
 which coefficients are positive and which inequalities hold with equality. The solution of its equations shows which of
-these are wrong. All wrong ones change sides at once, or if that does not help, only the last one (block principal pivoting
+these are wrong. All wrong ones change sides at once, or if that does not help, the last one (block principal pivoting
 with Murty's rule; Portugal, Judice and Vicente 1994, Math. Comput. 63, 625). If the guess comes from a similar program,
 this takes a few Cholesky factors.
 
