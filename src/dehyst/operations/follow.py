@@ -13,6 +13,7 @@ from dehyst._errors import ModelError, RecordError, RigError
 from dehyst._io import made_folder, write_atomically
 from dehyst._text import escape
 from dehyst._types import Array
+from dehyst._views.lines import percent
 from dehyst.calibration.following import FollowedPath
 from dehyst.control import VoltageLimits
 from dehyst.instruments import HIGHEST_RATE, AbstractRig, open_rig, played_rate
@@ -23,7 +24,7 @@ from dehyst.operations.command import FOLDER, INPUT, argument, command, flag, op
 from dehyst.operations.files import COLUMNS, Columns, write_table
 from dehyst.operations.paths import ZERO, bounds_remarks, closed_path, even_rate, reach_remarks, read_path
 from dehyst.operations.run import Result, Run, files
-from dehyst.records import largest, percent, rms
+from dehyst.records import largest, rms
 from dehyst.report.html import document, words
 from dehyst.report.sections import followed as followed_sections
 
@@ -77,8 +78,6 @@ def follow(
         size = len(wanted)
         if learn or (repeat or 1) > 1:
             wanted = closed_path(wanted)
-        if learn and instrument.longest is not None and 2 * len(wanted) > instrument.longest:
-            run.note(f"{instrument.name} takes {instrument.longest} samples at once, and waits between such pieces")
         if isinstance(warmth, np.ndarray):
             warmth = np.concatenate([warmth, np.full(len(wanted) - size, warmth[-1])])
         record = made_folder(output) / "record.csv"
@@ -162,16 +161,16 @@ def _result(known: AxesModel, followed: FollowedPath, record: Path, folder: Path
 def _head(known: AxesModel, followed: FollowedPath) -> str:
     """Return the result in words: errors, noise of the sensor, clamped samples, and a promise that is not kept."""
     strokes = [stroke_of(actuator) for actuator in known.actuators]
-    noise = ", ".join(f"{percent(value, stroke):.3f}" for value, stroke in zip(followed.noise, strokes, strict=True))
+    noise = ", ".join(map(percent, followed.noise, strokes))
     head = f"Followed: {followed.best.words} of the stroke"
     judged = [
-        f"{percent(largest(error), stroke):.3f} and {percent(rms(error), stroke):.3f} %"
-        for error, stroke in zip(followed.promised, strokes, strict=True)
-        if error is not None
+        f"{percent(largest(error), stroke, promise.largest)} and {percent(rms(error), stroke, promise.rms)} RMS"
+        for error, promise, stroke in zip(followed.promised, followed.promises, strokes, strict=True)
+        if error is not None and promise is not None
     ]
     if judged:
-        head += f", without offset and delay, as promised, {', '.join(judged)}"
-    head += f"; the sensor's noise is {noise} % RMS"
+        head += f"; without an offset and a delay, which the promise leaves out, {', '.join(judged)}"
+    head += f"; the sensor's noise is {noise} RMS"
     if followed.clamped:
         head += f"; {followed.clamped} samples were clamped at a limit or by the slew rate"
     if False in followed.kept:
