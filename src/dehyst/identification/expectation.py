@@ -97,8 +97,7 @@ class Expectation:
     @property
     def why_not_ready(self) -> tuple[str, ...]:
         """Phrases on all reasons why the model is not ready, including its error."""
-        above = self.largest_percent > self.goal
-        return ("the largest error is above the goal", *self.reasons) if above else self.reasons
+        return ("the largest error is above the goal",) * (self.largest_percent > self.goal) + self.reasons
 
     @property
     def headline(self) -> str:
@@ -107,8 +106,9 @@ class Expectation:
             f"{percent(error, self.stroke, goal=self.goal)} of the stroke ({length(error)})"
             for error in (self.largest, self.rms)
         )
-        verdict = self.readiness.value.capitalize()
-        return f"{verdict}: expect an error of {largest} at most on a path, {rms} RMS, {self.promise.apart}"
+        verdict, missed = self.readiness.value.capitalize(), self.largest_percent > self.goal
+        beside = f" (goal {self.goal:g} %)" if missed else ""
+        return f"{verdict}: expect an error of {largest} at most on a path{beside}, {rms} RMS, {self.promise.apart}"
 
     @property
     def origin(self) -> str:

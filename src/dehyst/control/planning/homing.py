@@ -47,6 +47,8 @@ _SAMPLES, _LEAST_CYCLE = 60, 8
 _PATIENCE, _ROUGHLY, _NEARLY = 30.0, 0.95, 0.03
 # The time [s] that a homing may take.
 HOME_WITHIN = Numbers(positive=True, optional=True)
+# By how much branches get faster, at least in a step and at most in all, until a homing is short enough.
+_FASTER, _FASTEST = 1.1, 1e6
 # Random histories, and turns in each.
 _HISTORIES, _TURNS = 12, 8
 
@@ -187,11 +189,13 @@ class _TimedHoming:
         if excitation.duration <= within:
             wait = (within - excitation.duration) / max(1, len(self.path(math.inf)) - len(self.path(0.0)))
             return wait, self.sampling.play("homing", self.path(wait))
-        frequency = self.sampling.frequency * excitation.duration / within
-        if self.sampling.sample_rate is not None:
-            frequency = min(frequency, max(self.sampling.frequency, self.sampling.sample_rate / _LEAST_CYCLE))
-        self.sampling = replace(self.sampling, frequency=frequency)
-        return 0.0, self.sampling.play("homing", self.path(0.0))
+        most = (self.sampling.sample_rate or _FASTEST * self.sampling.frequency) / _LEAST_CYCLE
+        # Branches at the slew rate get no faster; the others do.
+        while excitation.duration > within and self.sampling.frequency < most:
+            faster = self.sampling.frequency * max(excitation.duration / within, _FASTER)
+            self.sampling = replace(self.sampling, frequency=min(faster, most))
+            excitation = self.sampling.play("homing", self.path(0.0))
+        return 0.0, excitation
 
     def remarks(self, wait: float, spread: float) -> Iterator[str]:
         """Yield remarks on a homing with holds [s] that leaves a `spread` [m]."""
