@@ -198,18 +198,6 @@ def test_samples_cut_off_at_a_gap_do_not_widen_the_limits():
     assert fit.actuator.limits == (0.0, 200.0)
 
 
-@pytest.mark.parametrize("name", ["major", "ramps"])
-@pytest.mark.nightly
-def test_measured_records_lose_nothing_but_a_glitch_that_was_put_in(name):
-    record = dehyst.read(DATA / f"{name}.csv")
-    assert prepare(record).samples == len(record)
-    assert not any("glitch" in said for said in prepare(record).sentences)
-    clean, fit = (fitted(measured) for measured in (record, with_voltage(record, [5, 1100, 4000], 9.0)))
-    assert not any("Only" in said for said in clean.remarks)
-    assert fit.actuator.limits == clean.actuator.limits
-    assert fit.errors[0].rms == pytest.approx(clean.errors[0].rms, rel=0.01)
-
-
 def rare(samples, cycle=200):
     """Loops to 150 V; one of them goes to 200 V for some samples, and the displacement with it."""
     v = 75 - 75 * np.cos(2 * np.pi * np.arange(10 * cycle) / cycle)
