@@ -111,7 +111,7 @@ def test_a_mass_and_a_lag_are_led_as_without_limits(lag):
     assert np.abs(command.displacement - path).max() < 1e-3 * plain_records.STROKE
 
 
-def test_a_clamped_mass_is_told_as_it_moves():
+def test_the_displacement_of_a_clamped_mass_is_its_motion():
     time, path = smooth()
     plant = wider("creep", dynamics=Dynamics(1000, 0.3, 2e6))
     high = 0.9 * plant.compensate(path, time=time).voltage.max()

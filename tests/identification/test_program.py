@@ -193,7 +193,7 @@ def test_slopes_of_the_spring_keep_the_floor():
 
 
 def test_no_branch_falls(monkeypatch):
-    """Voltages of a graded actuator of which a branch would fall: no record has them, but noise can come close."""
+    """A graded actuator would have a falling branch: no record shows such voltages, but noise can come close."""
     plant, program = known("graded")
     true = plant.solution(program)
     elements = (true.stiffness * [1.0, 3.0, 0.1])[plant.grid.movable].ravel()

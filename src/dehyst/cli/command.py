@@ -20,7 +20,7 @@ from dehyst.records.columns import text_of
 from dehyst.records.tables import ColumnsError, notes_on
 
 _ENDING = b"dehyst: Ctrl-C: completing the best model so far; press it again to stop at once\n"
-# How columns are typed once.
+# How to type columns only once.
 _KEPT = "dehyst show FILE --columns TEXT --save FILE keeps them for --columns @FILE."
 
 

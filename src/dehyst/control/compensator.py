@@ -176,7 +176,7 @@ class Compensator:
             return voltage
         axis = self._axes[0]
         if "step" not in self.__dict__:
-            # From now on a step without a frame of Python; it must not keep this object alive.
+            # Later steps call the core without Python between; the core must not keep this object alive.
             here = weakref.proxy(self)
             axis.loop.slow = lambda wanted, degrees: Compensator.step(here, wanted, degrees)
             self.__dict__["step"] = axis.loop.quick

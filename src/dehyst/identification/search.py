@@ -285,7 +285,7 @@ def _lags(frame: Frame) -> bool:
 
 
 def _may_swing(frame: Frame) -> bool:
-    """Whether cycles are fast enough, and samples many enough, to show a resonance."""
+    """Whether the records have fast cycles and enough samples to show a resonance."""
     step, cycle = frame.times[0], min(item.cycle for item in frame.training)
     # Events are too few to show how a resonance swings.
     return cycle <= RULES.slowest_cycle * step and all(item.record.measured is None for item in frame.training)

@@ -70,7 +70,7 @@ class AbstractRig(ABC):
     """
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Refuse a driver that replaces what limits, ramps and retreat rely on; typing's `final` does so too late."""
+        """Refuse a driver that replaces a method of limits, ramps or retreat; `typing.final` would show it too late."""
         super().__init_subclass__(**options)
         if replaced := [name for name in _OWN + _SPECIAL if getattr(cls, name) is not getattr(AbstractRig, name)]:
             drivers = ", ".join(_DRIVERS)

@@ -128,9 +128,9 @@ class AxesModel:
         return cls(stage, stage.actuators, stage.axes)
 
     def slews(self, given: OfAxes = OfAxes("slew_rate")) -> tuple[list[float | None], list[str]]:
-        """Return the largest slew rate [V/s] of each axis, and a line on each that is the model's own.
+        """Return the largest slew rate [V/s] of each axis, and a line on each rate that comes from the model.
 
-        It is the given one, that which the model keeps, or None: a path at its own speed.
+        The rate is the given one, else the one that the model keeps, else None: a path has its own speed.
         """
         rates, lines = [], []
         for actuator, rate in zip(self.actuators, given.of(self.axes), strict=True):

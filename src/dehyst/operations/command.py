@@ -24,7 +24,7 @@ from dehyst._errors import DehystError
 from dehyst.operations import registry
 
 Values = Mapping[str, Any]
-# Returns from the given values, without defaults, why an option has no effect; empty if it has one.
+# Returns why an option has no effect with the given values (without defaults); empty if it has an effect.
 Condition = Callable[[Values], str]
 # Returns the parameter of this name.
 Declaration = Callable[[str], click.Parameter]

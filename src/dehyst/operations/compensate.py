@@ -121,7 +121,7 @@ def _answer(
     added: Sequence[str],
     found: WaveTable | None,
 ) -> Result:
-    """Return what to expect of the plans of all axes, and to do, with `added` lines.
+    """Return the answer: the promise of each axis, what to do, where the files are, and `added` lines.
 
     `axes`: actuator, plan, limits, slew rate and present voltage of each. `made`: JSON values of the files. `found`:
     the table of a period, if one was asked for.

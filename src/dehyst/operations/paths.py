@@ -60,7 +60,7 @@ def temperature_of(
 ) -> Array | None:
     """Return the temperature (n,) [degC] in the table of a path; None if it has none.
 
-    A column that was not asked for is left out, which is remarked, if the model does not know of temperatures.
+    If the model does not depend on temperature, a column that was not requested is left out, with a remark.
     """
     if columns.temperature is not None:
         demand_thermal(*(actuator.thermal for actuator in known.actuators))

@@ -150,7 +150,7 @@ def perform(ctx: click.Context, run: Run) -> Result:
 def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path], kept: Sequence[Path] = (), *, force: bool) -> None:
     """Raise `FileFormatError` for outputs that are inputs, share a name, lack a folder, or exist without `force`.
 
-    `kept`: outputs that go on with what is there.
+    `kept`: outputs that the command continues.
     """
     if len({os.path.realpath(output) for output in outputs}) < len(outputs):
         raise FileFormatError(f"{outputs[0]}: is the name of two outputs; give each its own name")

@@ -80,7 +80,7 @@ def starts_of(
 def _starts_in(
     model: AxesModel, path: Path, limits: Sequence[Limits], columns: Columns, *, rests: bool
 ) -> list[PossibleStart]:
-    """Return the start of each axis from a file. Displacements written by dehyst count for nothing: not measured."""
+    """Return the start of each axis from a file. Displacements written by dehyst are not measured, and not used."""
     table, name = read_table(path, columns), path.name
     own = {f"{axis}_{COMPUTED}" if axis else COMPUTED for axis in model.axes} <= set(table.names)
     # Given columns are those of the path; this file may have others, and dehyst's own file has the usual ones.
@@ -129,7 +129,7 @@ def begin_words(actuator: Actuator, path: PathPlan, limits: Limits, present: flo
 
 
 def open_start(path: PathPlan) -> list[str]:
-    """Return a line on what a start that is not known leaves open along a path, if that matters and no homing comes."""
+    """Return a line on the error of an unknown start along a path, if it matters and there is no homing."""
     error = path.left_open
     if error is None or path.homing is not None or not error.matters:
         return []
@@ -154,10 +154,9 @@ def path_start_fields(path: PathPlan) -> dict[str, Any]:
 def before_path(
     actuator: Actuator, path: PathPlan, limits: Limits, slew: float | None, given: float | None
 ) -> Iterator[str]:
-    """Yield what to do before a path: the way to its first voltage, and a rest where it creeps.
+    """Yield what to do before a path without a homing: a ramp to its first voltage, and a rest of a model that creeps.
 
-    `given`: the present voltage [V], from which a plan leads; without it and a start the actuator stands at 0 V. A plan
-    says where its own homing begins.
+    `given`: the present voltage [V], from which the plan begins. Without it and a start, 0 V is assumed.
     """
     if path.homing is not None:
         return

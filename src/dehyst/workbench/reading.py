@@ -14,7 +14,7 @@ from dehyst.workbench.forms import AXES, FORMS, PLAIN, QUANTITIES
 _AXIS = re.compile(r"[A-Za-z]\w*")
 _COUPLED = "There are {} voltages with displacements, perhaps of coupled axes: check the pairs."
 _SIGNS = {".": "point", ",": "comma"}
-# Marks a guess; one that is taken as it is remains one.
+# Marks a guess; a column that nobody verified stays a guess.
 _GUESS = "?"
 # After a column or a unit, in a text of columns.
 _GUESSES = re.compile(r'\?(?=\s*(?:[*:,"]|$))')

@@ -200,7 +200,7 @@ class Part:
             return ()
         if homing.played.duration <= _LONG * float(np.ptp(time)):
             return ()
-        words = "home within a shorter time to begin earlier, with more of the start left open"
+        words = "to home within a shorter time leaves a larger error of the start"
         return (f"the path begins after {self.way.seconds + float(time[ahead] - time[0]):.4g} s; {words}",)
 
 
