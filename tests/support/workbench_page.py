@@ -28,6 +28,22 @@ def chromium():
         browser.close()
 
 
+def colours(place):
+    """How many colours a canvas shows, or the canvases in a place."""
+    return place.evaluate(
+        """element => {
+            const canvases = element.tagName === "CANVAS" ? [element] : [...element.querySelectorAll("canvas")];
+            const seen = new Set();
+            for (const one of canvases) {
+                if (!one.width || !one.height) continue;
+                const pixels = one.getContext("2d").getImageData(0, 0, one.width, one.height).data;
+                for (const pixel of new Uint32Array(pixels.buffer)) seen.add(pixel);
+            }
+            return seen.size;
+        }"""
+    )
+
+
 class Visitor:
     """A person at the page of a workbench.
 

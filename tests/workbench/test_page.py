@@ -9,7 +9,7 @@ import places
 import pytest
 from coupled_stage import excited
 from workbench_client import held, served
-from workbench_page import CHROMIUM, visit
+from workbench_page import CHROMIUM, colours, visit
 from workbench_tour import PICTURES
 
 from dehyst.records import read_table, write_record
@@ -293,22 +293,6 @@ def owner(browser, workbench, journey):
         visitor.sees("1 ready")
         yield visitor
         assert (visitor.complaints, visitor.elsewhere) == ([], [])
-
-
-def colours(canvas):
-    """How many colours the canvases of a figure show."""
-    return canvas.evaluate(
-        """element => {
-            const canvases = element.tagName === "CANVAS" ? [element] : [...element.querySelectorAll("canvas")];
-            const seen = new Set();
-            for (const one of canvases) {
-                if (!one.width || !one.height) continue;
-                const pixels = one.getContext("2d").getImageData(0, 0, one.width, one.height).data;
-                for (const pixel of new Uint32Array(pixels.buffer)) seen.add(pixel);
-            }
-            return seen.size;
-        }"""
-    )
 
 
 def test_a_dropped_record_is_drawn_and_its_identification_can_be_cancelled(person, bench, loops):

@@ -103,7 +103,9 @@ def first_fit(name):
 @pytest.mark.parametrize("name", FITS)
 def test_errors_are_not_far_beyond_those_of_a_straight_line(name):
     training, held_out = records()
-    line, row = compare(training, validate=held_out, models={"a line": Linear.fit, "it": lambda _: first_fit(name)}).rows
+    line, row = compare(
+        training, validate=held_out, models={"a line": Linear.fit, "it": lambda _: first_fit(name)}
+    ).rows
     assert not row.failure
     for score, straight in zip(row.scores, line.scores, strict=True):
         assert score.rms <= 2 * straight.rms, score.record

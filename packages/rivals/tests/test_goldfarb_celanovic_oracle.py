@@ -1,5 +1,7 @@
 """Goldfarb and Celanovic's identification on records of their own electric circuit, integrated by SciPy."""
 
+from functools import cache
+
 import numpy as np
 from electromechanical_oracle import branches, quasi_static
 from paper_stacks import CONSTANTS, KEQ, T, assert_proportional, paper_stack
@@ -21,6 +23,7 @@ def instants(samples, peak=200.0):
     return np.union1d(times, np.arccos(1 - 2 * force / T / peak) / np.pi)
 
 
+@cache
 def recorded(resistance, samples=500):
     """A record from the relaxed state, and its charges."""
     time, voltage = instants(samples), branches(TURNS, 1)[1]
