@@ -86,7 +86,7 @@ def record(name, voltage, offset):
 def records():
     """Return two records to fit, loops with falling tops and turns anywhere, and a held-out one with other turns."""
     tops = standard.descending_tops(VOLTS, steps=5, drive=Sampling(frequency=1.0, sample_rate=RATE)).voltage
-    turns = [np.r_[0, VOLTS, 0, np.random.default_rng(seed).uniform(0, VOLTS, 30)] for seed in (1, 2)]
+    turns = [np.r_[0, VOLTS, 0, np.random.default_rng(seed).uniform(0, VOLTS, 16)] for seed in (1, 2)]
     turning = [np.interp(np.arange(0, turn.size - 1, 1 / 25), np.arange(turn.size), turn) for turn in turns]
     first, second, third = (record(f"loops {k}", v, 1e-6 * k) for k, v in enumerate([tops, *turning]))
     return [first, second], third
