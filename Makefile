@@ -6,6 +6,7 @@
 # make docs     build the site into build/docs, with all examples run; a warning is an error
 # make wasm     compile the core to WebAssembly (needs Debian's clang and lld); commit the result
 # make pictures take the pictures of the workbench's tutorial anew
+# make built    compile both packages, for all environments
 # make wheel    build sdist and wheel, audit both, and run the demo from the wheel in new environments
 # make bench    measure speed and accuracy, write benchmarks/*.json and the README's table
 
@@ -16,7 +17,7 @@ PYTEST := $(BIN)/python -m pytest -n auto --dist worksteal
 RIVALS_SOURCES := $(addprefix packages/rivals/,pyproject.toml CMakeLists.txt README.md core/* bindings/* src/dehyst_rivals/*)
 SOURCES := pyproject.toml CMakeLists.txt README.md $(wildcard core/CMakeLists.txt core/*/*.[ch] core/*/*/*.[ch] bindings/* src/dehyst/* src/dehyst/*/* src/dehyst/*/*/*)
 
-.PHONY: demo workbench test nightly check docs wasm pictures wheel bench clean
+.PHONY: built demo workbench test nightly check docs wasm pictures wheel bench clean
 
 demo: $(VENV)/.demo
 	$(BIN)/dehyst demo --force
@@ -90,6 +91,8 @@ $(RIVALS)/.built: $(wildcard $(RIVALS_SOURCES)) | $(BIN)/python
 	rm -rf $(RIVALS)
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir $(RIVALS) ./packages/rivals
 	touch $@
+
+built: $(WHEEL)/.built $(RIVALS)/.built
 
 $(VENV)/.demo: $(BIN)/python $(WHEEL)/.built
 	$(call install,)
