@@ -22,7 +22,7 @@ from dehyst.model import Actuator, Range, major_loop, voltage_error
 TIME_NEEDED = "give the time [s] of each sample, or the period [s] between them"
 # Share of the reach: a path in another unit than metres that is smaller is likely one in metres.
 _TINY = 1e-6
-# Voltages farther outside of the identified range than this part of it were not covered by the records.
+# Parts of the range of the recorded voltages: voltages farther beyond were not tested; noise is no voltage beyond.
 _FAR, _NOISE = 0.1, 1e-3
 # Shares of the reach: what a sensor may correct, by default and at most.
 _BOUND, _WIDEST = 0.05, 0.25

@@ -136,7 +136,7 @@ def displacement_error(got: tuple[float, float], displacements: Range) -> str:
 
 
 def voltage_error(got: tuple[float, float], identified: Range) -> str:
-    """Return the error for voltages [V] far outside of the identified range of a model."""
+    """Return the error for voltages [V] far outside of those of the records of a model."""
     return (
         f"voltage: got {ends(*got, 'V')}, the records of the model have {ends(*identified, 'V')}; "
         "check the unit, and that the model is of this actuator"

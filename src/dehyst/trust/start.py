@@ -19,12 +19,12 @@ def start_of(actuator: Actuator, record: Record, *, limits: tuple[float, float] 
     record : Record
         A record of what was played before; the sensor's zero does not matter.
     limits : (float, float), optional
-        Allowed voltages [V], in addition to the identified range.
+        Allowed voltages [V], in addition to those of the records.
 
     Returns
     -------
     PossibleStart
-        One state; its remarks name voltages that are offset from the model's or outside of the identified range.
+        One state; its remarks name voltages that are offset from those of the records or lie outside of them.
 
     Raises
     ------

@@ -89,7 +89,7 @@ class PossibleStart:
     def named(cls, actuator: Actuator, name: StartName) -> PossibleStart:
         """Return the start of an `actuator` by name; raise `ModelError` if it is unknown.
 
-        `name`: turned at the "top" or "bottom" of the identified range, or "relaxed" at 0 V.
+        `name`: turned at the "top" or "bottom" of the model's range, or "relaxed" at 0 V.
         """
         choice(name, "start", NAMES, error=ModelError)
         if name == "relaxed":
