@@ -34,23 +34,20 @@ def test_units_after_slashes_select_no_other_column(tmp_path):
 def test_joined_by_time(tmp_path):
     drive = text(tmp_path, "time_s,voltage_V\n" + laboratory_files.rows(T, V))
     late = np.linspace(0.01, T[-1] - 0.01, 3000)
-    text(tmp_path, "t_ms,y_um\n" + laboratory_files.rows(late * 1e3, 3 * late, number="%.15g"), "b.csv")
-    record = read(drive, f"join={tmp_path / 'b.csv'}")
-    assert record.time == pytest.approx(late)
-    assert record.voltage == pytest.approx(np.interp(late, T, V), abs=1e-6)
-    assert record.displacement == pytest.approx(3e-6 * late, rel=1e-9)
-    assert record.meta["columns"]["displacement"] == "b/y_um"
-    inside = (late[0] <= T) & (late[-1] >= T)
-    turned = read(tmp_path / "b.csv", f"join={drive}")
-    assert turned.voltage == pytest.approx(record.voltage)
-    table = read_table(drive)
-    found = joined(table, read_table(tmp_path / "b.csv"), Columns(displacement="voltage_V"))
-    assert found.columns[1].data == pytest.approx(V[inside], abs=1e-6)
-
-    # If both have a displacement, the first file keeps its times.
+    sensor = text(tmp_path, "t_ms,y_um\n" + laboratory_files.rows(late * 1e3, 3 * late, number="%.15g"), "b.csv")
+    for first, second in ((drive, sensor), (sensor, drive)):
+        record = read(first, f"join={second}")
+        assert record.time == pytest.approx(late)
+        assert record.voltage == pytest.approx(np.interp(late, T, V), abs=1e-6)
+        assert record.displacement == pytest.approx(3e-6 * late, rel=1e-9)
+    assert read(drive, f"join={sensor}").meta["columns"]["displacement"] == "b/y_um"
+    # If the first file has the displacement, or both have one, it keeps its times.
     both = text(tmp_path, "time_s,voltage_V,y_um\n" + laboratory_files.rows(T, V, UM), "c.csv")
-    found = joined(read_table(both), read_table(tmp_path / "b.csv"), Columns())
-    assert found.columns[0].data == pytest.approx(T[inside], abs=1e-6)
+    inside = (late[0] <= T) & (late[-1] >= T)
+    for first, displacement in ((drive, "voltage_V"), (both, None)):
+        found = joined(read_table(first), read_table(sensor), Columns(displacement=displacement))
+        assert found.columns[0].data == pytest.approx(T[inside], abs=1e-6)
+        assert found.columns[1].data == pytest.approx(V[inside], abs=1e-6)
 
 
 def test_joined_by_sample(tmp_path):

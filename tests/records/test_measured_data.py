@@ -27,13 +27,6 @@ def fitted():
     return dehyst.identify([read("major"), read("ramps")], structure="maxwell_slip")
 
 
-@cache
-def split():
-    ramps = read("ramps")
-    rest = replace(ramps[4500:], name="rest")
-    return dehyst.identify([read("major"), ramps[:4500]], validate=rest, structure="maxwell_slip")
-
-
 def test_both_records_are_met_nearly_to_the_sensors_noise():
     fit = fitted()
     assert fit.outcome.good
@@ -50,28 +43,22 @@ def test_what_the_records_leave_open_is_said():
     assert (both.outcome, major.outcome) == (Outcome.IDENTIFIED, Outcome.UNDETERMINED)
 
 
-def test_the_start_up_transient_is_told():
-    said = " ".join(fitted().repairs)
-    major = re.search(r"major: the first .* \((\d+) samples\) lie outside", said)
-    assert major, said
-    assert 20 <= int(major[1]) <= 40
-
-
-def test_the_delay_is_the_one_that_the_data_are_known_to_have():
-    for fit in (fitted(), split()):
-        assert 0.010 <= fit.actuator.delay <= 0.017
-        assert any("lags the voltage" in sentence for sentence in fit.repairs)
-
-
-def test_drift_is_told_and_is_what_the_data_are_known_to_have():
+def test_what_the_data_are_known_to_have_is_told():
+    fit = fitted()
+    said = " ".join(fit.repairs)
+    begin = re.search(r"major: the first .* \((\d+) samples\) lie outside", said)
+    assert begin and 20 <= int(begin[1]) <= 40
+    assert 0.010 <= fit.actuator.delay <= 0.017 and "lags the voltage" in said
     # README of the data: the cycle mean drifts by about 0.5 % of the range over 40 s, 2.6 decades of a tenth cycle.
-    drift = fitted().errors[0].drift / fitted().errors[0].stroke
-    assert 0.001 < drift < 0.01
-    assert fitted().errors[0].rms < fitted().errors[0].rms_with_drift
+    error = fit.errors[0]
+    assert 0.001 < error.drift / error.stroke < 0.01
+    assert error.rms < error.rms_with_drift
 
 
 def test_what_was_held_out_is_predicted():
-    fit = split()
+    ramps = read("ramps")
+    rest = replace(ramps[4500:], name="rest")
+    fit = dehyst.identify([read("major"), ramps[:4500]], validate=rest, structure="maxwell_slip")
     held_out = fit.errors[2]
     assert (held_out.record, held_out.role) == ("rest", "validation")
     assert held_out.samples > 1000

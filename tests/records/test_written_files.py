@@ -136,10 +136,8 @@ def test_json_may_start_with_a_byte_order_mark_and_hold_utf8(tmp_path):
 BROKEN_JSON = {
     "empty": "",
     "table": "time_s,voltage_V\n0,1\n",
-    "table with semicolons": "Zeit (s);Weg [nm]\n0,1;2\n",
     "no JSON": '{"a": 1,\n "b": x}',
     "cut off": '{"a": [1,\n2',
-    "more behind": "{}\n{}",
     "comment": "{} // x",
     "single quotes": "{'a': 1}",
     "NaN": '{"a": [NaN]}',
@@ -150,8 +148,6 @@ BROKEN_JSON = {
     "twice": '{"a": 1, "b": 2, "b": 2}',
     "twice inside": '{"a": [{"b": {"c": 1, "c": 1}}]}',
     "list": "[{}]",
-    "number": "1",
-    "null": "null",
     "deep": '{"a":' + "[" * 100_000,
 }
 

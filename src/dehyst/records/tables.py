@@ -142,28 +142,28 @@ class Table:
         if len(fits) != 1:
             raise self._not_one(quantity, entry.name, fits)
         (column,) = fits
-        if fault := _fault(quantity, column, entry):
-            raise ColumnError(self.source, quantity, f"column '{shortened(column.name)}'{fault[0]}", fault[1], column)
-        unit = entry.unit or column.parts[1]
+        unit, name = entry.unit or column.parts[1], f"column '{shortened(column.name)}'"
         # The record refuses overflow and NaN, with the row.
         with np.errstate(all="ignore"):
+            if fault := _fault(quantity, column, entry):
+                raise ColumnError(self.source, quantity, f"{name}{fault[0]}", fault[1], column)
             if entry.scale is None:
                 values: Array = in_si(column.data, unit)
             else:
                 values = column.data if entry.scale.kind else entry.scale.apply(quantity, unit, column.data)
             step = float(np.median(np.diff(values))) if quantity == "time" and values.size > 1 else 0.0
         if quantity == "voltage" and entry.scale is None and column.is_plug and is_small(values):
-            problem = f"column '{shortened(column.name)}' has the name of an output or a monitor, and only "
             hint = (
                 f"if an amplifier multiplies or divides it, give {quantity}={shortened(column.name)}*{GAIN} with the "
                 f"gain for {GAIN}; if these are the volts of the actuator, the gain is 1"
             )
-            raise ColumnError(self.source, quantity, f"{problem}{span_of(values, 'V')}", hint, column)
+            problem = f"{name} has the name of an output or a monitor, and only {span_of(values, 'V')}"
+            raise ColumnError(self.source, quantity, problem, hint, column)
         if step > 0 and (words := impossible("time", step)):
-            raise FileFormatError(f"{self.source}: column '{shortened(column.name)}': {words}", change=("columns",))
+            raise FileFormatError(f"{self.source}: {name}: {words}", change=("columns",))
         # The record shares these values.
         values.flags.writeable = False
-        guess = f"column '{shortened(column.name)}'{f' in {unit}' if unit else ''}" if entry.guess else ""
+        guess = f"{name}{f' in {unit}' if unit else ''}" if entry.guess else ""
         return Selected(column, entry, values, "; ".join(part for part in (guess, column.guessed) if part))
 
     def fitting(self, quantity: str, wanted: str | None = None) -> int:

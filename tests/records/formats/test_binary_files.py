@@ -137,7 +137,6 @@ def linked(path):
 READ = {
     "a.mat": matlab({**NAMED, "note": "text", "image": np.eye(3)}),
     "old.mat": matlab(NAMED, format="4"),
-    "struct.mat": matlab({"run": {**NAMED, "gain": 3.0, "who": "me"}}),
     "beside.mat": matlab({**NAMED, "cell": np.array(["a", 1], dtype=object)}, opaque=True, do_compression=True),
     "new.mat": matlab73(
         {**{k: x[None] for k, x in NAMED.items()}, "#refs#/time_s": T, "voltage": V[:5], "time": T, "y_um": T[:2]},
@@ -155,7 +154,6 @@ READ = {
     "a.tdms": tdms((NAMED, None)),
     "wave.tdms": tdms((dict([*NAMED.items()][1:]), None), **WAVE),
     "on.tdms": tdms(*halves(0, 0.30002), **PIECES),
-    "a.npz": lambda path: np.savez(path, **NAMED),
     "fields.npz": lambda path: np.savez(path, x=structured()),
     "a.npy": lambda path: np.save(path, structured()),
 }
