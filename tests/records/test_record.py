@@ -184,7 +184,6 @@ def changed(time=lambda t: t, voltage=lambda v: v, displacement=lambda y: y):
     ("record", "word"),
     [
         (lambda: changed(time=lambda t: t + 0.1 * (np.arange(t.size) >= 1000)), "gap"),
-        (lambda: changed(time=lambda t: np.cumsum(1e-3 * rng.uniform(0.9, 1.1, t.size))), "uneven"),
         (lambda: lagging(n=100), "20 samples a cycle"),
         (lambda: changed(voltage=lambda v: 2 * np.round(v / 2)), "steps of 2 V"),
         (lambda: changed(displacement=lambda y: 1e-7 * np.round(y / 1e-7)), "steps of 1e-07 m"),

@@ -200,13 +200,8 @@ class Columns:
             return cls.parse(_text_in(Path(text[1:])))
         found: dict[str, Any] = {"axes": {}}
         for key, value in entries_of(text).items():
-            if key == "rate":
-                if not re.fullmatch(_NUMBER, value):
-                    need = "the number of samples a second, as 1000"
-                    raise FileFormatError(argument="columns", got=f"rate={value}", need=need)
-                found[key] = float(value)
-            elif key in RECORD:
-                found[key] = value
+            if key in RECORD:
+                found[key] = float(value) if key == "rate" and re.fullmatch(_NUMBER, value) else value
             else:
                 found["axes"][key] = value
         return cls(**found)

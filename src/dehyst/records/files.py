@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import FileFormatError
+from dehyst._errors import FileFormatError, RecordError
 from dehyst._io import COMPUTED, PathLike, packed, path_of, reading, write_atomically
+from dehyst._text import counted, escaped
 from dehyst._types import Array
 from dehyst._units import in_si
 from dehyst.records.columns import Columns
@@ -23,12 +24,9 @@ from dehyst.records.events import record_of_periodic
 from dehyst.records.formats.column import MOST, TEXT, Allowance, Column, listed
 from dehyst.records.formats.containers import LINE, MEMBER
 from dehyst.records.formats.loaders import LOADERS, load
-from dehyst.records.record import Record, columns_of, further_channels
+from dehyst.records.record import Channel, Record, columns_of
 from dehyst.records.tables import ColumnsError, Selected, Table, chosen, joined
 
-_ADVICE = dict.fromkeys((".xls", ".ods", ".opj", ".opju", ".parquet"), "; save it as CSV or .xlsx") | {
-    ".lvm": "; save it as TDMS, or as a table with one header row"
-}
 _MEASURED = ("voltage", "displacement")
 _SIGNS = {"point": ".", "comma": ","}
 # Rows that are written at once.
@@ -69,56 +67,90 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
     """Return the record in a table, see `read` and `table_of`; of several axes if `columns` names some."""
     axes = columns.of_axes() if columns.axes else {"": columns}
     parts = {axis: _selected(table, own, axis) for axis, own in axes.items()}
-    first = next(iter(parts.values()))
-    time, y, scale = first["time"].values, first["displacement"], first["displacement"].entry.scale
     if columns.temperature is not None:
         table = _with_temperature(table, columns.temperature)
-    used_as = {
+    used = {
         f"{quantity} of {axis}" if axis and quantity != "time" else quantity: part
         for axis, own in parts.items()
         for quantity, part in own.items()
     }
-    others, remarks = further_channels(table, [part.column for part in used_as.values()], len(time))
+    first = next(iter(parts.values()))
+    time, drive, moved = (first[quantity] for quantity in ("time", *_MEASURED))
+    others, left_out = _further_channels(table, [part.column for part in used.values()], len(time.values))
+    meta = _origin(table, columns, used, others)
+    if remarks := [*table.remarks, *left_out]:
+        meta["remarks"] = remarks
     channels = tuple(channel for channel, _ in others)
-    guesses = {quantity: part.guess for quantity, part in used_as.items()}
-    guesses |= {channel.name: column.guessed for channel, column in others}
-    given = {quantity: part.entry.scale for quantity, part in used_as.items() if part.entry.scale is not None}
-    scales = {quantity: str(scale) if scale.unit else f"times {scale}" for quantity, scale in given.items()}
-    found = {quantity: part.column.name for quantity, part in first.items()}
-    found |= {channel.name: column.name for channel, column in others}
-    if columns.rate is not None:
-        found["time"] = f"index / {columns.rate:.9g} Hz"
-    planned = [name for name in table.names if name.endswith(COMPUTED) and columns.displacement is None]
-    meta = {
-        "source": f"{table.source}{''.join(f', {quantity} {words}' for quantity, words in scales.items())}",
-        "sha256": table.sha256,
-        **({"axes": [f"{axis}={text}" for axis, text in columns.axes.items()]} if columns.axes else {"columns": found}),
-        **({"scales": scales} if scales else {}),
-        **({"computed": planned} if planned else {}),
-        **({"guesses": known} if (known := {key: guess for key, guess in guesses.items() if guess}) else {}),
-        **({"remarks": sentences} if (sentences := [*table.remarks, *remarks]) else {}),
-    }
-    hold: Any = columns.hold or ("sample" if first["voltage"].column.timing == "sample" else "line")
+    hold: Any = columns.hold or ("sample" if drive.column.timing == "sample" else "line")
     if columns.axes:
-        if any(scale.kind for scale in given.values()):
+        if any(part.entry.scale is not None and part.entry.scale.kind for part in used.values()):
             need = "one voltage and one displacement; read each axis by itself"
             raise FileFormatError(argument="columns", got="a periodic signal with axes", need=need)
         records = [
-            Record(time, part["voltage"].values, part["displacement"].values, f"{name} ({axis})")
+            Record(time.values, part["voltage"].values, part["displacement"].values, f"{name} ({axis})")
             for axis, part in parts.items()
         ]
-        voltage, displacement = (
-            np.column_stack([getattr(record, column) for record in records]) for column in _MEASURED
-        )
-        return Record(time, voltage, displacement, name, meta, axes=tuple(axes), others=channels, hold=hold)
-    voltage = first["voltage"].values
+        voltage = np.column_stack([record.voltage for record in records])
+        displacement = np.column_stack([record.displacement for record in records])
+        return Record(time.values, voltage, displacement, name, meta, axes=tuple(axes), others=channels, hold=hold)
+    scale = moved.entry.scale
     if scale is not None and scale.kind:
-        unit = y.entry.unit or y.column.parts[1] or "a.u."
-        period = float(in_si(scale.factor, scale.unit))
-        record = record_of_periodic(time, voltage, y.values, period, kind=scale.kind, name=name, unit=unit)
+        period, unit = float(in_si(scale.factor, scale.unit)), moved.entry.unit or moved.column.parts[1] or "a.u."
+        record = record_of_periodic(
+            time.values, drive.values, moved.values, period, kind=scale.kind, name=name, unit=unit
+        )
         return replace(record, meta=meta, others=(*channels, *record.others), hold=hold)
-    measured = ~np.isnan(y.values) if y.column.timing == "events" else None
-    return Record(time, voltage, y.values, name, meta, others=channels, hold=hold, measured=measured)
+    measured = ~np.isnan(moved.values) if moved.column.timing == "events" else None
+    return Record(time.values, drive.values, moved.values, name, meta, others=channels, hold=hold, measured=measured)
+
+
+def _origin(
+    table: Table, columns: Columns, used: Mapping[str, Selected], others: Sequence[tuple[Channel, Column]]
+) -> dict[str, Any]:
+    """Return what `Record.meta` says of a file: its name, its columns, their scales and guesses."""
+    given = {quantity: part.entry.scale for quantity, part in used.items() if part.entry.scale is not None}
+    scales = {quantity: str(scale) if scale.unit else f"times {scale}" for quantity, scale in given.items()}
+    found = {quantity: part.column.name for quantity, part in used.items()}
+    found |= {channel.name: column.name for channel, column in others}
+    if columns.rate is not None:
+        found["time"] = f"index / {columns.rate:.9g} Hz"
+    guesses = {quantity: part.guess for quantity, part in used.items()}
+    guesses |= {channel.name: column.guessed for channel, column in others}
+    planned = [name for name in table.names if name.endswith(COMPUTED) and columns.displacement is None]
+    meta = {
+        "source": ", ".join([table.source, *(f"{quantity} {words}" for quantity, words in scales.items())]),
+        "sha256": table.sha256,
+        "axes": [f"{axis}={text}" for axis, text in columns.axes.items()],
+        "columns": {} if columns.axes else found,
+        "scales": scales,
+        "computed": planned,
+        "guesses": {quantity: guess for quantity, guess in guesses.items() if guess},
+    }
+    return {key: value for key, value in meta.items() if value}
+
+
+def _further_channels(
+    table: Table, used: Sequence[Column], samples: int
+) -> tuple[list[tuple[Channel, Column]], list[str]]:
+    """Return the temperatures and kept columns in a table besides the `used` ones, and remarks on others."""
+    found: dict[str, tuple[Channel, Column]] = {}
+    remarks = []
+    for column in table.columns:
+        if any(column is other for other in used) or not (column.kept or column.role != "other"):
+            continue
+        words, size = column.fault, column.data.size
+        if not words and size != samples:
+            words = f"it has {counted(size, 'value')} for {counted(samples, 'sample')}"
+        if not words:
+            channel = Channel.of(column)
+            words = "its name is that of another channel" if channel.name in found else channel.fault
+        if not words:
+            found[channel.name] = channel, column
+        elif column.kept:
+            raise RecordError(f"{table.source}: column '{escaped(column.name)}': {words}")
+        else:
+            remarks.append(f"Column '{escaped(column.name)}' is left out: {words}.")
+    return list(found.values()), remarks
 
 
 def _selected(table: Table, columns: Columns, axis: str) -> dict[str, Selected]:
@@ -159,8 +191,8 @@ def read_table(path: PathLike, columns: Columns | None = None) -> Table:
     """Read all numeric columns of a file, by the decimal sign of `columns`; errors as in `read`."""
     path, columns = path_of(path), columns or Columns()
     if path.suffix.lower() not in LOADERS and path.is_file():
-        known = f"unknown kind of file '{path.suffix}'; dehyst reads {' '.join(LOADERS)}"
-        raise FileFormatError(f"{path}: {known}{_ADVICE.get(path.suffix.lower(), '')}")
+        known = f"unknown kind of file '{path.suffix}'; save it as one that dehyst reads: {' '.join(LOADERS)}"
+        raise FileFormatError(f"{path}: {known}")
     with reading(path, path.suffix, MOST) as stream:
         if columns.decimal is not None and path.suffix.lower() not in TEXT:
             got = f"{columns.decimal} for a {path.suffix} file, whose numbers are no text"
@@ -190,19 +222,24 @@ def write_record(path: PathLike, record: Record) -> None:
     if not isinstance(record, Record):
         need, hint = "a Record", "give the path first, then the record"
         raise FileFormatError(argument="record", got=type(record).__name__, need=need, hint=hint)
-    words, channels = {"drive": "voltage"}, [(channel.name, channel.role, channel.axis) for channel in record.channels]
-    of_axes = {f"{words.get(role, role)} of {axis}": name for name, role, axis in channels}
-    known = dict(record.meta.get("guesses") or {})
-    guesses = {of_axes.get(str(quantity), str(quantity)): str(guess) for quantity, guess in known.items()}
-    timing = {name: "sample" for name, role, _ in channels if role == "drive" and record.hold == "sample"}
-    timing |= {} if record.measured is None else {"displacement": "events"}
+    names: dict[tuple[str, str], str] = {}
+    for channel in record.channels:
+        names["voltage" if channel.role == "drive" else channel.role, channel.axis] = channel.name
+    guesses = {}
+    for quantity, guess in dict(record.meta.get("guesses") or {}).items():
+        role, _, axis = str(quantity).partition(" of ")
+        guesses[names.get((role, axis), str(quantity))] = str(guess)
+    timing = {} if record.measured is None else {"displacement": "events"}
+    if record.hold == "sample":
+        timing |= {channel.name: "sample" for channel in record.channels if channel.role == "drive"}
     others = [channel.column for channel in record.others if channel.role == "other"]
     stated = {"guesses": guesses, "timing": timing, "others": others}
     text = json.dumps({key: value for key, value in stated.items() if value}) if any(stated.values()) else ""
     if Path(path).suffix.lower() == ".npz":
-        write_atomically(path, packed({**columns_of(record, "m"), **({MEMBER: np.array(text)} if text else {})}))
+        arrays = columns_of(record, "m") | ({MEMBER: np.array(text)} if text else {})
+        write_atomically(path, packed(arrays))
     else:
-        write_columns(path, columns_of(record), head=[LINE + text] * bool(text))
+        write_columns(path, columns_of(record), head=[LINE + text] if text else [])
 
 
 def write_columns(

@@ -124,36 +124,29 @@ def guesses(record: Record) -> tuple[str, ...]:
 
 def problems(record: Record) -> tuple[str, ...]:
     """Return sentences about suspicious but allowed properties, see `Record.problems`."""
-    remarks = record.meta.get("remarks", ())
     clean = cleaned(record)
     return (
         *guesses(record),
-        *_of_times(record),
-        *_of_samples(clean.record),
+        *_of_samples(record, clean.record),
         *(sentence[0].upper() + sentence[1:] for sentence in clean.sentences),
         *loops.remarks(clean.record),
-        *(map(str, remarks) if isinstance(remarks, list | tuple) else ()),
+        *map(str, record.meta.get("remarks", ())),
     )
 
 
-def _of_times(record: Record) -> Iterator[str]:
-    usual, steps = record.sample_time, np.diff(record.time)
-    if missing := gaps(record.time):
+def _of_samples(whole: Record, record: Record) -> Iterator[str]:
+    """Yield remarks on the samples of a record, of which `whole` has what was left out too."""
+    if missing := gaps(whole.time):
         i, length = missing[0]
         yield f"{counted(len(missing), 'gap')} in time, the first of {length:.4g} s after sample {i}."
-    jitter = float(np.std(steps[steps <= 1.5 * usual])) / usual
-    if jitter > 0.01:
-        yield f"Sampling is uneven: the time step varies by {100 * jitter:.3g} %."
-
-
-def _of_samples(record: Record) -> Iterator[str]:
     cycles = record.cycles()
     points = float(np.median([c.stop - c.start - 1 for c in cycles])) if cycles else np.inf
     if points < 50:
         yield f"Only {points:.0f} samples a cycle; 50 or more show the loop's corners."
-    signals = [("voltage", "V"), ("displacement", "m")]
-    if record.measured is not None:
-        signals.pop()
+    signals = [("voltage", "V")]
+    if record.measured is None:
+        signals.append(("displacement", "m"))
+    else:
         events = int(np.count_nonzero(record.measured))
         yield (
             f"The displacement is known at {counted(events, 'event')} of {len(record)} samples; only these count, and "

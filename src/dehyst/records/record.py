@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from dehyst._errors import ModelError, RecordError
 from dehyst._text import counted, escaped
 from dehyst._types import Array, Mask
-from dehyst._units import COLDEST, HOTTEST, SI, in_si, per_metre
+from dehyst._units import SI, in_si, per_metre
 from dehyst._validation import DEFAULT_AXES, axis_names, choice, keep, plain
 from dehyst._views.lines import span_of
 from dehyst._views.pictures import Plotted
 from dehyst.records import events, quality, signals
-from dehyst.records.formats.column import Column
-from dehyst.records.tables import Table
+from dehyst.records.formats.column import Column, impossible
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -77,15 +76,10 @@ class Channel(NamedTuple):
         """Why this cannot be a further channel of a record; empty if it can."""
         if not self.name or not self.unit or set(self.column) & set(',;\t\n"') or escaped(self.column) != self.column:
             return f"got {self.column!r}, need a name with its unit, as 'temperature_C' or 'humidity [%]'"
-        if words := quality.fault_of(self.values, self.name, self.unit):
+        words = quality.fault_of(self.values, self.name, self.unit)
+        if words or self.role != "temperature":
             return words
-        bad = np.flatnonzero((self.values < COLDEST) | (self.values > HOTTEST))
-        if self.role != "temperature" or not bad.size:
-            return ""
-        return (
-            f"{self.name}[{bad[0]}] = {self.values[bad[0]]:.6g} degC, need {COLDEST:g} to {HOTTEST:g} degC; check "
-            "its unit, or leave it out"
-        )
+        return impossible("temperature", self.values.min()) or impossible("temperature", self.values.max())
 
 
 @dataclass(frozen=True, eq=False, slots=True, repr=False)
@@ -422,27 +416,3 @@ def _is_frozen(raw: object) -> bool:
     if not isinstance(raw, np.ndarray) or raw.dtype != np.float64 or raw.flags.writeable:
         return False
     return raw.base is None or (isinstance(raw.base, np.ndarray) and not raw.base.flags.writeable)
-
-
-def further_channels(
-    table: Table, used: Iterable[Column], samples: int
-) -> tuple[list[tuple[Channel, Column]], list[str]]:
-    """Return the temperatures and kept columns in a table besides the `used` ones, and remarks on others."""
-    found: dict[str, tuple[Channel, Column]] = {}
-    remarks, taken = [], {id(column) for column in used}
-    for column in table.columns:
-        if id(column) in taken or not (column.kept or column.role != "other"):
-            continue
-        words, size = column.fault, column.data.size
-        if not words and size != samples:
-            words = f"it has {counted(size, 'value')} for {counted(samples, 'sample')}"
-        if not words:
-            channel = Channel.of(column)
-            words = "its name is that of another channel" if channel.name in found else channel.fault
-        if not words:
-            found[channel.name] = channel, column
-        elif column.kept:
-            raise RecordError(f"{table.source}: column '{escaped(column.name)}': {words}")
-        else:
-            remarks.append(f"Column '{escaped(column.name)}' is left out: {words}.")
-    return list(found.values()), remarks

@@ -10,7 +10,7 @@ import numpy as np
 
 from dehyst._errors import FileFormatError
 from dehyst._types import Array
-from dehyst._units import FACTORS, quantity_of, symbol_of
+from dehyst._units import COLDEST, FACTORS, HOTTEST, quantity_of, symbol_of
 from dehyst.records.formats.notation import Moment
 
 TEXT = (".csv", ".tsv", ".txt", ".dat", ".asc")
@@ -77,6 +77,7 @@ _POSSIBLE = {
     "time": ("samples every", "s", 1e-8, 1e4, ("s", "ns, us or ms")),
     "voltage": ("a voltage of", "V", 0.0, 1e5, ("V", "mV")),
     "displacement": ("a stroke of", "m", 1e-9, 0.1, ("m", "um")),
+    "temperature": ("a temperature of", "degC", COLDEST, HOTTEST, ("K", "K or degF")),
 }
 # A stroke of many piezo actuators [m].
 _STROKE = 1e-5
@@ -142,7 +143,7 @@ def plausible_unit(quantity: str, data: Array) -> str:
 
 
 def impossible(quantity: str, size: float) -> str:
-    """Return an error for a size [s, V, m] that cannot be: of a time step, a voltage, or a stroke; or empty."""
+    """Return an error for a size [s, V, m, degC] of a step, a voltage, a stroke, a temperature that cannot be."""
     name, unit, least, most, others = _POSSIBLE[quantity]
     if least <= size <= most:
         return ""
