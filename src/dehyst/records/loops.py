@@ -56,9 +56,9 @@ def sense(voltage: Array, displacement: Array, cycles: list[Span] | None = None)
         v, y = voltage[cycle], displacement[cycle]
         dv, dy = np.diff(np.append(v, v[0])), np.diff(np.append(y, y[0]))
         # Rising below falling is counter-clockwise: the actuator lags, and this sum is positive.
-        area -= float(np.dot(y - y.mean() + 0.5 * dy, dv))
+        area -= float(np.einsum("i,i", y - y.mean() + 0.5 * dy, dv))
         box += float(np.ptp(v) * np.ptp(y))
-        of_y, of_v = of_y + float(dv @ dv), of_v + float(dy @ dy)
+        of_y, of_v = of_y + float(np.einsum("i,i", dv, dv)), of_v + float(np.einsum("i,i", dy, dy))
     doubt = sqrt(white_noise(displacement) ** 2 * of_y + white_noise(voltage) ** 2 * of_v)
     return int(np.sign(area)) if abs(area) > _AREA * box + _DEVIATIONS * doubt else 0
 
@@ -112,7 +112,8 @@ def early_turns(record: Record) -> int:
         return 0
     # Both move the same way but between their turns: the sum of products is largest where these coincide.
     part = steps_y[: steps_y.size - most]
-    alike = np.array([float(part @ steps_v[late : late + part.size]) for late in range(most + 1)])
+    # The threads of a library's product would cost more than it.
+    alike = np.array([np.einsum("i,i", part, steps_v[late : late + part.size]) for late in range(most + 1)])
     best = int(np.argmax(alike))
     gained = float(alike[best] - alike[0])
     moved = steps_v[best : best + part.size] - steps_v[: part.size]

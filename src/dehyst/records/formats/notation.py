@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from datetime import date
 from typing import NamedTuple
 
@@ -134,10 +133,8 @@ def moment(cell: str) -> Moment:
 
 
 def is_moment(cell: str) -> bool:
-    """Return whether a cell is a timestamp."""
-    with suppress(ValueError):
-        return bool(moment(cell))
-    return False
+    """Return whether a cell is written as a timestamp."""
+    return len(cell) <= _LONGEST and _STAMP.fullmatch(cell.strip()) is not None
 
 
 def clock_of(moments: list[Moment]) -> Array:
