@@ -224,8 +224,9 @@ def _refuse_lost_counts(
     fast = np.flatnonzero(np.abs(np.diff(voltage)) > _STEP * half)
     if fast.size:
         raise _refusal(f"too few samples a period at {time[fast[0]]:.6g} s", "sample faster, or drive more slowly")
-    beyond = np.flatnonzero(np.abs(z) > _BEYOND)
-    demand(not beyond.size, *time[[*beyond[:1], *beyond[-1:]]].tolist() or (0, 0))
+    beyond = time[np.abs(z) > _BEYOND]
+    if beyond.size:
+        demand(False, float(beyond[0]), float(beyond[-1]))
     for first, stop in runs(np.abs(z) < _BAND):
         demand(np.ptp(voltage[first:stop]) < _STAYS * half, *time[[first, stop - 1]].tolist())
     ends = np.concatenate([time[:1], found.time, time[-1:]])

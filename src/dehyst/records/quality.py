@@ -87,17 +87,15 @@ def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
             f"back, or give the sample rate in place of these times, rate={rate:.6g} if it is even"
         )
     digit = float(np.diff(np.unique(time)).min())
-    digits = int(np.clip(np.log10(float(np.ptp(time)) / digit), 3, 6))
     return (
         f"{words}: times in steps of {digit:.3g} s, coarser than the samples, or samples that are written twice; give "
-        f"the sample rate in their place, rate={rate:.{digits}g} if it is even"
+        f"the sample rate in their place, rate={rate:.4g} if it is even"
     )
 
 
 def other_unit(record: Record) -> str:
     """Return an error if no piezo actuator has such a time, voltage or stroke, because a unit is wrong; or empty."""
-    highest = max(map(abs, record.voltage_range))
-    words = impossible("time", record.sample_time) or impossible("voltage", highest)
+    words = impossible("time", record.sample_time) or impossible("voltage", max(map(abs, record.voltage_range)))
     return words or (impossible("displacement", record.stroke) if record.stroke else "")
 
 
@@ -202,7 +200,7 @@ def _reasons(record: Record) -> Iterator[str]:
     if record.measured is not None:
         events = int(np.count_nonzero(record.measured))
         few = f"the displacement is known at {events} events, {_LEAST_EVENTS} are needed; drive over more of them"
-        yield from [few] * (events < _LEAST_EVENTS)
+        yield from [few] if events < _LEAST_EVENTS else []
         return
     new = new_samples(record.voltage, record.displacement)
     if new is not None and np.count_nonzero(new) < FEWEST_NEW * max(len(cycles), 2):

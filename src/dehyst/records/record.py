@@ -225,7 +225,7 @@ class Record(Plotted):
     def __repr__(self) -> str:
         head = f"<Record '{escaped(self.name)}': {len(self)} samples, {self.time[-1] - self.time[0]:.6g} s"
         others = "".join(f", {channel.name}" for channel in self.others)
-        others += ", voltage held" * (self.hold == "sample")
+        others += ", voltage held" if self.hold == "sample" else ""
         if self.axes:
             return f"{head}, axes {', '.join(self.axes)}{others}>"
         events = f" at {counted(int(np.count_nonzero(self.measured)), 'event')}" if self.measured is not None else ""

@@ -367,9 +367,11 @@ class _Timed(NamedTuple):
         """Return the columns at other times [s]; one that has not a number for each of its own has a fault."""
         found = []
         for column in self.columns:
-            fits, words = column.data.size == self.seconds.size, "it is not as long as its time, which joining needs"
-            data = np.interp(times, self.seconds, column.data) if fits else np.empty(0)
-            found.append(replace(column, data=data, fault=column.fault or words * (not fits)))
+            if column.data.size == self.seconds.size:
+                found.append(replace(column, data=np.interp(times, self.seconds, column.data)))
+            else:
+                words = column.fault or "it is not as long as its time, which joining needs"
+                found.append(replace(column, data=np.empty(0), fault=words))
         return found
 
 

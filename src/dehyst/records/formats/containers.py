@@ -189,7 +189,7 @@ def _unpacked(array: Any) -> Any:
         return values
     with np.errstate(all="ignore"):
         missing = np.isin(values, np.array([x for fill in fills for x in fill]).astype(values.dtype))
-        return np.where(missing, np.nan, values * (*scale, 1.0)[0] + (*offset, 0.0)[0])
+        return np.where(missing, np.nan, values * (scale[0] if scale else 1.0) + (offset[0] if offset else 0.0))
 
 
 def _attribute(item: Any, name: str) -> list[Any]:

@@ -125,7 +125,7 @@ def moment(cell: str) -> Moment:
     if match is None:
         raise ValueError(cell)
     day, _, hours, minutes, whole, fraction, zone, ahead, more = match.groups()
-    origin = " ".join(("midnight",) * (not day) + ("UTC",) * bool(zone)) or "local time"
+    origin = ("UTC" if zone else "local time") if day else ("midnight UTC" if zone else "midnight")
     offset = _HOUR * int(ahead) + 60 * int(ahead[0] + more) if ahead else 0
     days = date.fromisoformat(day[:10].replace("/", "-")).toordinal() - _FIRST_DAY if day else 0
     seconds = _DAY * days + _HOUR * int(hours) + 60 * int(minutes) + int(whole) - offset

@@ -172,7 +172,8 @@ class _Table:
                     self.hole = self.hole or number
                 continue
             if line.rstrip("\n") in self.layout.header:
-                self.headers += [number + 1] * (line.rstrip("\n") == self.layout.header[0])
+                if line.rstrip("\n") == self.layout.header[0]:
+                    self.headers.append(number + 1)
                 continue
             cells = cells_of(line, delimiter)
             if is_comment(cells, width, delimiter):
