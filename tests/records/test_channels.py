@@ -37,15 +37,12 @@ def test_they_are_named_with_their_roles():
     [
         ("temperature_K", TEMPERATURE + 273.15, "temperature", TEMPERATURE),
         ("Temperature [degC]", TEMPERATURE, "Temperature", TEMPERATURE),
-        ("temperature_F", 32 + 1.8 * TEMPERATURE, "temperature", TEMPERATURE),
         ("Room [°F]", 32 + 1.8 * TEMPERATURE, "Room", TEMPERATURE),
         ("Room (°C)", TEMPERATURE, "Room", TEMPERATURE),
         # A channel that is no temperature is kept as it is.
         ("charge_C", V, "charge", V),
-        ("order_N", V, "order", V),
         ("Force [mN]", LOAD, "Force", LOAD),
         ("flow [l/min]", V, "flow", V),
-        ("monitor_mV", V, "monitor", V),
     ],
 )
 def test_units_are_those_of_the_quantity(column, values, name, expected):
