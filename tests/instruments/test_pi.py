@@ -123,7 +123,7 @@ def test_half_a_recorder_is_none(told, why):
         ({"VMI?": ["1=200"]}, [], {}, LinkError, "need a range"),
         ({"SAI?": ["1", "2"]}, [], {}, RigError, "has the axes 1, 2; choose one"),
         ({}, [], {"axis": "7"}, RigError, "got the axis '7', it has 1"),
-        ({}, [], {"limits": (200.0, 300.0)}, RigError, "nothing is left"),
+        ({}, [], {"limits": (200.0, 300.0)}, RigError, "limits: got 200 to 300 V"),
         ({"VOL?": ["1=nan"]}, [], {}, LinkError, "sent '\\[?.?VOL. 1.*got '1=nan'|need a finite number"),
     ],
 )
