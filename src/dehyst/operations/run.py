@@ -133,7 +133,7 @@ def perform(ctx: click.Context, run: Run) -> Result:
             raise OperationError(f"has no effect {why}", argument=parameter.name, hint="leave it out")
     outputs = list(paths_in(ctx, Role.OUTPUT))
     folders = list(paths_in(ctx, Role.FOLDER))
-    continued = list(paths_in(ctx, Role.CONTINUED))
+    continued = [] if ctx.params.get("dry_run") else list(paths_in(ctx, Role.CONTINUED))
     if run.force and not outputs and not folders and not continued:
         raise OperationError("has no effect without an output", argument="force", hint="leave it out")
     demand_outputs(paths_in(ctx, Role.INPUT), outputs, continued, force=run.force)
