@@ -128,7 +128,7 @@ def _read_log(path: Path, *, again: bool) -> bytes:
     except OSError as error:
         raise unwritten(path, error) from error
     if before.split(b"\n")[0].rstrip() != _LOGGED.encode():
-        raise FileFormatError(f"{path}: is no table of checks, {_LOGGED}; give another name with --log")
+        raise FileFormatError(f"{path}: is another table than those that --log writes; give another name with --log")
     return before
 
 

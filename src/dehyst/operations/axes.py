@@ -56,7 +56,7 @@ class OfAxes:
             if axis in found:
                 raise ModelError(
                     argument=self.name,
-                    got=f"{f'the axis {axis}' if axis else 'one for all axes'} twice",
+                    got=f"{f'the axis {axis}' if axis else 'a value for all axes'} twice",
                     need="it once",
                 )
             if axis and axis not in axes:

@@ -255,8 +255,7 @@ def error_text(ctx: click.Context, error: DehystError) -> str:
 
     given = ctx.params.get(error.argument)
     if isinstance(given, float) and re.fullmatch(r"[-+.e\d]+", error.got):
-        # A number as it was given, not in SI units.
-        error.got = f"{given:g}"
+        error.got = f"{given:g}" if float(error.got) == given else f"{given:g}, which is {error.got} in SI units"
     return error.text(named, way)
 
 
