@@ -120,14 +120,14 @@ def test_two_calibrations_into_one_folder_are_refused(tmp_path):
     [
         (0.4, [], 0),
         (0.6, [], 1),
-        (0, [("gain", 0.01, 0.002, 1e-7)], 1),
-        (0, [("gain", -0.01, 0.002, 1e-7), ("drift", 1e-7, 1e-9, 1e-7)], 2),
-        (0, [("gain", 0.004, 0.002, 1e-7), ("zero", 1e-7, 1e-9, 1e-9), ("width", 0.5, 0.01, 1e-7)], 0),
+        (0, [("gain", 0.01, 0.002, 1e-7, True)], 1),
+        (0, [("gain", -0.01, 0.002, 1e-7, True), ("drift", 1e-7, 1e-9, 1e-7, True)], 2),
+        (0, [("gain", 0.004, 0.002, 1e-7, False), ("width", 0.5, 0.01, 1e-7, True)], 0),
     ],
 )
 def test_a_rig_that_warms_drifts_or_reads_wrong_is_remarked(degrees, changes, count):
     time = np.linspace(0, 1, 50)
-    changed = [found for found in (Change(*change, 1e-8) for change in changes) if found.counts]
+    changed = [found for found in (Change(*change) for change in changes) if found.counts]
     for scale, wrong in ((1e-7, 0), (1e-10, 1), (1e-4, 1)):
         warm = [Record(time, 100 * time, 100 * scale * time, others={"temperature_C": 20 + degrees * time})]
         checked = [SimpleNamespace(changed=changed, stroke=1e-5)]

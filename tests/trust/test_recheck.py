@@ -48,21 +48,22 @@ def test_each_change_is_found_and_named_and_nothing_else_is(case, seed):
     changes, size = CHANGED[case]
     recheck = dehyst.check(loops.model(), loops.later(seed, **changes))
     name = case.split()[-1]
-    assert [change.name for change in recheck.changed] == [name]
+    assert [change.name for change in recheck.changed if change.name != "shape"] == [name]
     found = of(recheck, name)
-    assert abs(found.value - size) < 3 * found.error
-    assert found.error < 0.25 * abs(size)
-    assert len(recheck.change_sentences()) == 1
+    assert abs(found.value - size) < 3 * found.error < 0.75 * abs(size)
 
 
-@pytest.mark.parametrize(
-    ("changes", "named"), [({"width": 0.6}, {"width", "lag"}), ({"delay": 15.0}, {"width", "lag"})]
-)
-def test_width_and_lag_are_one_change_on_smooth_loops_of_one_height(changes, named, tmp_path):
-    recheck = dehyst.check(loops.model(), loops.later(tops=[200.0], **changes))
-    stated = [change for change in recheck.changed if named <= set(change.parts)]
-    assert len(stated) == 1
-    assert named & {change.name for change in recheck.changed} == set()
+def test_what_the_named_changes_leave_is_stated():
+    truth, record = PlayActuator(plays=loops.PLAYS), loops.later()
+    truth._thresholds *= 1.15
+    recheck = dehyst.check(loops.model(), replace(record, displacement=truth.play(record.voltage)))
+    assert [change.name for change in recheck.changed] == ["width", "shape"]
+    assert recheck.promise.rms < of(recheck, "shape").value < recheck.rms
+
+
+def test_width_and_lag_are_one_change_on_smooth_loops_of_one_height(tmp_path):
+    recheck = dehyst.check(loops.model(), loops.later(tops=[200.0], width=0.6))
+    assert [change.name for change in recheck.changed] == ["width and lag", "shape"]
     assert recheck.to_record in recheck.change_sentences()[0]
     assert run(*shlex.split(recheck.to_record)[1:], cwd=tmp_path)[0] == 0
 

@@ -7,11 +7,17 @@ With s the simulated displacement, m(v) its mean line (the average of rising and
 whose coefficients are the changes. The error of a model is no white noise: it is alike wherever the loop comes again.
 Its covariance falls with the distance in voltage and in h, and its size grows with the change itself, because no loop
 ages exactly as the columns say. Constants were chosen on aged stages by other mechanisms: `benchmarks/ageing.py`.
+
+The fewest changes are named that leave the others insignificant together. If several sets are as small, their common
+changes are sure, and the rest are one change that the record cannot tell apart. What the named changes leave beyond the
+promise is stated as a change of shape.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -23,17 +29,13 @@ from dehyst._views import lines
 from dehyst.identification import Trace
 from dehyst.records import percent, turning_points
 
-# Least multiple of its standard error from which a change counts.
-SIGMAS, TOGETHER = 3.0, 2.0
+# Least multiple of its standard error from which a change counts; others are insignificant at this probability.
+SIGMAS, TOGETHER, _INSIGNIFICANT = 3.0, 2.0, 0.0027
 # Knots of the mean line; blocks of samples; steps of the search for a delay, of which the regression knows one order.
 _KNOTS, _BLOCKS, _STEPS = 24, 400, 4
-# Over which part of the voltages, and of h, the error of a model is alike, and over which part of a cycle it wanders.
-_ALIKE, _ALIKE_IN_LOOP, _WANDERS, _WANDERING = 0.3, 1.0, 0.25, 0.1
-# Parts of a change, and of a change of gain, that do not look like its column, and of all on the rise from a fitted
-# start; the own error of a model beside its promise; slow changes that a record cannot show, of the stroke a decade.
-_UNLIKE, _UNLIKE_GAIN, _AT_START, _OWN, _UNSEEN = 0.4, 0.1, 1.0, 1.3, 0.007
-# Probability with which what is left over shows a variance of the model's own error.
-_SHOWN_AT_LEAST = 0.95
+# Over which part of the voltages, and of h, the error of a model is alike. The part of a change that does not look like
+# its column, but all on the rise from a fitted start; slow changes that a record cannot show, of the stroke a decade.
+_ALIKE, _ALIKE_IN_LOOP, _UNLIKE, _UNSEEN = 0.3, 1.0, 0.2, 0.007
 # A loop narrower than this part of its height has no width that could change.
 _NARROW = 1e-3
 # Columns that depend on one another to this part count as dependent; a delay is found to this part of the stroke.
@@ -43,7 +45,7 @@ _EARLY = 0.1
 # Names of the slow changes, of which a record shows one.
 SLOW = ("creep", "drift")
 # Names of the changes that an update learns.
-LEARNT = ("gain", "width")
+LEARNT = ("gain", "width", "shape")
 # Factor and unit in which each is shown.
 _AND = " and "
 _SHOWN = {"gain": (100.0, "%"), "width": (100.0, "%"), "lag": (1e3, "ms")}
@@ -57,30 +59,26 @@ class Change:
     ----------
     name : str
         "gain" (of the displacement relative to 0 V), "width" (of the loop, in addition to the gain), "zero" (of the
-        displacement at 0 V, at the beginning of the record), "lag", "creep" (logarithmic in time) or "drift" (linear
-        in time). Names joined by " and ": changes that the record cannot tell apart; value and error are those of their
-        common effect [m].
+        displacement at 0 V, at the beginning of the record), "lag", "creep" (logarithmic in time), "drift" (linear in
+        time) or "shape" (what the changes that count leave). Names joined by " and ": changes that the record cannot
+        tell apart; value and error are those of their common effect [m].
     value, error : float
         The change and its standard error: parts of 1 for gain and width, [m] for the zero, [s] for the lag,
-        [m a decade of time] for creep, [m over the record] for a drift.
+        [m a decade of time] for creep, [m over the record] for a drift. For the shape: the RMS error left, and a third
+        of the promised one [m].
     effect : float
         The largest error [m] due to the change on a path like the record, with the sign of `value`: apart from a
         constant, as every error is, but for the zero.
-    least : float
-        Effect [m] from which a change counts.
+    counts : bool
+        Whether the record shows the change, by itself or as one of several: it exceeds three standard errors, several
+        together two, and its effect the least one that counts.
     """
 
     name: str
     value: float
     error: float
     effect: float
-    least: float
-
-    @property
-    def counts(self) -> bool:
-        """Whether the change exceeds three standard errors, several together two, and its effect exceeds `least`."""
-        sigmas = SIGMAS if len(self.parts) == 1 else TOGETHER
-        return abs(self.value) > sigmas * self.error and abs(self.effect) > self.least
+    counts: bool
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -103,13 +101,13 @@ class Change:
     def amount(self, stroke: float) -> str:
         """Return size and standard error as text; creep and drift relative to `stroke` [m]."""
         factor, unit = _SHOWN.get(self.name, (1e9, "nm"))
-        if self.name in SLOW or len(self.parts) > 1:
+        if self.name in (*SLOW, "shape") or len(self.parts) > 1:
             factor, unit = 100.0 / stroke, "% of the stroke" + (" a decade" if self.name == "creep" else "")
         return f"{digits(abs(self.value) * factor, 3)} ± {digits(self.error * factor)} {unit}"
 
     def as_dict(self, stroke: float) -> dict[str, Any]:
         """Return JSON values in SI units, the effect also in % of `stroke` [m]."""
-        return {**asdict(self), "effect_percent": percent(self.effect, stroke), "counts": self.counts}
+        return {**asdict(self), "effect_percent": percent(self.effect, stroke)}
 
 
 _WORDS = {
@@ -119,6 +117,7 @@ _WORDS = {
     "lag": ("The displacement lags more, by {}", "The displacement lags less, by {}"),
     "creep": ("The displacement creeps up by {}", "The displacement creeps down by {}"),
     "drift": ("The displacement drifts up by {}", "The displacement drifts down by {}"),
+    "shape": 2 * ("No such change explains an RMS error of {}",),
 }
 _REMEDIES = {
     "gain": "Check the sensor's and the amplifier's gain, the load and the preload.",
@@ -127,6 +126,7 @@ _REMEDIES = {
     "lag": "Check the filters, the sample clock and the speed of the record.",
     "creep": "Wait before recording; creep of the model needs loops at two speeds or holds.",
     "drift": "Let the actuator warm up, or record at a constant temperature.",
+    "shape": "The loop has changed its shape, or the record has a disturbance.",
 }
 
 
@@ -136,7 +136,7 @@ class Known:
 
     `zero`: shift to the model's axis [m]; `doubt`: its uncertainty that the record leaves [m]. `own`, `noise`:
     standard deviations of the model's own error on this path, and of the sensor [m]. `cycle` [s]. `slow`: whether the
-    record can show creep or a drift. `stroke` [m].
+    record can show creep or a drift. `stroke` [m]. `least`: effect [m] from which a change counts.
     """
 
     zero: float
@@ -146,57 +146,25 @@ class Known:
     cycle: float
     slow: bool
     stroke: float
+    least: float
 
 
-def find_changes(trace: Trace, known: Known, least: float) -> tuple[Change, ...]:
-    """Regress the measured minus the simulated displacement on possible changes.
-
-    Parameters
-    ----------
-    trace : Trace
-        Measured and simulated displacement, simulated without offset and drift.
-    known : Known
-    least : float
-        Effect [m] from which a change counts.
-    """
+def find_changes(trace: Trace, known: Known) -> tuple[Change, ...]:
+    """Regress the measured minus the simulated displacement, without offset and drift, on possible changes."""
     loop = _SimulatedLoop.of(trace)
-    fit = min((_fitted(loop, known, name) for name in (SLOW if known.slow else (None,))), key=lambda made: made.squares)
-    covariance = fit.covariance(loop, known)
-    found, open_ = list[Change](), list[int]()
-    for place, name in enumerate(fit.names):
-        value, most, error = fit.values[place], fit.most[place], float(np.sqrt(covariance[place, place]))
-        if name == "zero":
-            value, error = value - known.zero, float(np.hypot(error, known.doubt))
-        found.append(Change(name, float(value), error, float(value * most), least))
-        if not found[-1].counts and SIGMAS * error * most > least:
-            open_.append(place)
-    # If not with the zero, then apart from a constant, as an error is.
-    shape = [place for place in open_ if fit.names[place] != "zero"]
-    # One change alone comes first: an effect that it explains is not that of several.
-    named = [place for place, change in enumerate(found) if change.counts]
-    groups = [] if named and _explained(fit, named, known) else [open_, shape]
-    joint = [_together(fit, covariance, places, known, least) for places in groups if len(places) > 1]
-    return *found, *([change for change in joint if change.counts] or joint)[:1]
-
-
-def _explained(fit: _ChangeFit, named: list[int], known: Known) -> bool:
-    """Return whether changes that a record shows alone, and a constant, leave no more than the model's own error."""
-    target = fit.left + fit.columns @ fit.values
-    columns = fit.columns[:, [*{*named, fit.names.index("zero")}]]
-    left = target - columns @ np.linalg.lstsq(columns, target, rcond=_DEPENDENT)[0]
-    return bool(np.mean(left**2) < (_OWN * known.own) ** 2 + known.noise**2 / fit.blocks.shape[1])
-
-
-def _together(fit: _ChangeFit, covariance: Array, places: list[int], known: Known, least: float) -> Change:
-    """Return the common effect of changes that the record cannot tell apart."""
-    columns, names = fit.columns[:, places], [fit.names[place] for place in places]
-    # Without a change of the zero, an effect that is the same everywhere does not count.
-    columns = columns if "zero" in names else columns - columns.mean(axis=0)
-    values = fit.values[places] - np.where([name == "zero" for name in names], known.zero, 0.0)
-    row = columns[int(np.argmax(np.abs(columns @ values)))]
-    error = float(np.hypot(np.sqrt(row @ covariance[np.ix_(places, places)] @ row), known.doubt * ("zero" in names)))
-    size = abs(float(row @ values))
-    return Change(_AND.join(names), size, error, size, least)
+    fits = (_fitted(loop, known, name) for name in (SLOW if known.slow else (None,)))
+    every = min(fits, key=lambda fit: float(fit.left @ fit.left))
+    sure, needed = every.needed()
+    apart = [name for name in every.names if name in needed - sure]
+    found = list[Change]()
+    for name in every.names:
+        if name in apart:
+            found.append(replace(every.only({*sure, name}).change([name]), counts=False))
+        else:
+            found.append(every.only({*needed, name}).change([name]))
+    found += [every.only(needed).change(apart)] if apart else []
+    stated = {part for change in found if change.counts for part in change.parts}
+    return *found, every.only(stated).shape()
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +219,7 @@ class _SimulatedLoop:
 class _ChangeFit:
     """Coefficients (k,) of named columns, the columns (n, k) and what they leave (n,), both in means over blocks.
 
-    `most`: largest effect of each column. `blocks`: of the loop's samples that count.
+    `most`: largest effect of each column. `blocks`: of the samples of the `loop` that count.
     """
 
     names: list[str]
@@ -260,52 +228,78 @@ class _ChangeFit:
     columns: Array
     left: Array
     blocks: NDArray[np.intp]
+    loop: _SimulatedLoop
+    known: Known
 
-    @property
-    def squares(self) -> float:
-        """Residual sum of squares."""
-        return float(self.left @ self.left)
+    def only(self, names: set[str]) -> _ChangeFit:
+        """Return the fit of some of the columns and of the constant."""
+        places = [place for place, name in enumerate(self.names) if name in {*names, "zero"}]
+        columns, target = self.columns[:, places], self.left + self.columns @ self.values
+        values = _solved(columns, target)
+        left, kept = target - columns @ values, [self.names[place] for place in places]
+        return replace(self, names=kept, values=values, most=self.most[places], columns=columns, left=left)
 
-    def covariance(self, loop: _SimulatedLoop, known: Known) -> Array:
-        """Return the covariance (k, k) of the coefficients, by the correlated error of the model."""
+    def needed(self) -> tuple[set[str], set[str]]:
+        """Return what all and what any of the smallest sets of changes contain beside which no others are needed."""
+        from scipy.special import chdtri
+
+        error = np.sqrt(np.diag(self.covariance))
+        sigmas, alike = self.values / error, self.covariance / np.outer(error, error)
+        for count in range(len(error), -1, -1):
+            sets = []
+            for others in combinations(range(len(error)), count):
+                away, back = sigmas[[*others]], np.linalg.pinv(alike[np.ix_(others, others)], _DEPENDENT, True)
+                if not count or away @ back @ away <= chdtri(count, _INSIGNIFICANT):
+                    sets.append({name for place, name in enumerate(self.names) if place not in others})
+            if sets:
+                break
+        return set.intersection(*sets), set.union(*sets)
+
+    def change(self, parts: list[str]) -> Change:
+        """Return a change, or the common effect of several that the record cannot tell apart."""
+        places, row, most = [self.names.index(part) for part in parts], np.ones(1), 1.0
+        away, alone = self.values[places], len(parts) == 1
+        if alone:
+            most = float(self.most[places[0]])
+        else:
+            # Without a change of the zero, an effect that is the same everywhere does not count.
+            columns = self.columns[:, places] - ("zero" not in parts) * self.columns[:, places].mean(axis=0)
+            row = columns[int(np.argmax(np.abs(columns @ away)))]
+        value = float(row @ away if alone else abs(row @ away))
+        error = float(np.sqrt(row @ self.covariance[np.ix_(places, places)] @ row))
+        counts = abs(value) > (SIGMAS if alone else TOGETHER) * error and abs(value * most) > self.known.least
+        return Change(_AND.join(parts), value, error, value * most, counts)
+
+    def shape(self) -> Change:
+        """Return what the columns leave but for the rise from a fitted start."""
+        left = self.left[_means(self.loop.start.astype(np.float64), self.blocks) < 0.5]
+        left, noise = left - left.mean(), self.known.noise / np.sqrt(self.blocks.shape[1])
+        size, most = float(np.sqrt(max(np.mean(left**2) - noise**2, 0.0))), float(np.abs(left).max())
+        return Change("shape", size, self.known.own / SIGMAS, most, size > self.known.own and most > self.known.least)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """The covariance (k, k) of the coefficients, by the correlated error of the model."""
+        loop, known = self.loop, self.known
         scale = np.linalg.norm(self.columns, axis=0)
-        back = np.linalg.pinv(self.columns / scale, rcond=_DEPENDENT)
-        effect = dict(zip(self.names, (self.columns * self.values).T, strict=True))
-        slow = next((effect[name] for name in SLOW if name in effect), 0.0)
-        shape = effect.get("width", 0.0) + effect["lag"]
+        back = np.linalg.pinv(self.columns / scale, rcond=_DEPENDENT) / scale[:, None]
         within = loop.simulated - loop.mean
-        voltage, within, time, start = (
-            _means(values, self.blocks) for values in (loop.voltage, within, loop.time, loop.start.astype(np.float64))
+        voltage, within, start = (
+            _means(values, self.blocks) for values in (loop.voltage, within, loop.start.astype(np.float64))
         )
         alike = np.exp(
             -_apart(voltage, _ALIKE * np.ptp(voltage)) - _apart(within, _ALIKE_IN_LOOP * np.abs(within).max())
         )
-        correlated = alike + _WANDERING * np.exp(-_apart(time, _WANDERS * known.cycle))
-        prior = (_OWN * known.own) ** 2
-        shown = self._shown(correlated - self.columns / scale @ (back @ correlated))
-        own = min(prior, (prior * shown) ** 0.5)
-        unlike = _UNLIKE * np.std(shape), _UNLIKE * np.std(slow), _UNLIKE_GAIN * np.std(effect["gain"])
-        error = (own + float(np.mean(self.left**2)) + float(np.sum(np.square(unlike)))) * correlated
-        begins = _AT_START**2 * (np.var(shape + effect["gain"]) + own)
-        error += begins * np.outer(start, start) * alike
+        own, changed = known.own**2, float(np.var(self.columns @ self.values))
+        error = (own + float(np.mean(self.left**2)) + _UNLIKE**2 * changed) * alike
+        error += (changed + own) * np.outer(start, start) * alike
         if not known.slow:
             for name in SLOW:
                 curve = _means(loop.slow(name, known.cycle), self.blocks)
                 error += (_UNSEEN * known.stroke) ** 2 * np.outer(curve, curve)
         error[np.diag_indices(len(error))] += known.noise**2 * len(error) / self.blocks.size
-        back /= scale[:, None]
-        return np.asarray(back @ error @ back.T)
-
-    def _shown(self, remaining: Array) -> float:
-        """Return the most that the variance of a correlated error can be, by what the columns leave.
-
-        `remaining`: correlation (n, n) of the error, projected on what no column explains.
-        """
-        from scipy.special import chdtri
-
-        trace = float(np.trace(remaining))
-        free = trace**2 / float(np.sum(remaining * remaining.T))
-        return float(self.left @ self.left) / trace * free / float(chdtri(free, _SHOWN_AT_LEAST))
+        doubt = np.diag([known.doubt**2 * (name == "zero") for name in self.names])
+        return np.asarray(back @ error @ back.T) + doubt
 
 
 def _apart(place: Array, length: float) -> Array:
@@ -362,11 +356,16 @@ def _regression(loop: _SimulatedLoop, known: Known, slow: str | None) -> _Change
     whole = np.column_stack([columns[name] for name in names])
     apart = whole[kept] - np.where([name == "zero" for name in names], 0.0, whole[kept].mean(axis=0))
     most = np.abs(apart).max(axis=0)
-    few, target = _means(whole, blocks), _means(loop.measured - loop.simulated, blocks)
-    scale = np.linalg.norm(few, axis=0)
+    few, target = _means(whole, blocks), _means(loop.measured - loop.simulated - known.zero, blocks)
+    values = _solved(few, target)
+    return _ChangeFit(names, values, most, few, target - few @ values, blocks, loop, known)
+
+
+def _solved(columns: Array, target: Array) -> Array:
+    """Return the coefficients (k,) of columns (n, k) that come nearest to a target (n,)."""
+    scale = np.linalg.norm(columns, axis=0)
     scale[scale == 0] = 1.0
-    values = np.linalg.lstsq(few / scale, target, rcond=_DEPENDENT)[0] / scale
-    return _ChangeFit(names, values, most, few, target - few @ values, blocks)
+    return np.asarray(np.linalg.lstsq(columns / scale, target, rcond=_DEPENDENT)[0] / scale)
 
 
 def _rate(time: Array, values: Array) -> Array:

@@ -130,7 +130,8 @@ class Recheck(Plotted):
             return Standing.ANOTHER
         if self.without_noise > allowed:
             # Above the goal, a model is as it was if it is as promised, or about so and nothing has changed.
-            unchanged = self.promise is not None and self.promise.largest > allowed and not self.changed
+            unchanged = self.promise is not None and self.promise.largest > allowed
+            unchanged = unchanged and all(change.name == "shape" for change in self.changed)
             as_it_was = self._missed_by <= (_BY_CHANCE if unchanged else 1)
             return Standing.NEVER_MET if as_it_was else Standing.RECALIBRATE
         if self.promise is not None and not self.kept:
@@ -330,8 +331,8 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     # As many turns as the excitation for an identification: another record of the kind shows no more.
     many = turning_points(record.voltage, _TURN * float(np.ptp(record.voltage))).size > _MANY
     own = (origin.largest_error or 0.0) / NOISE_PEAK if promise is None else promise.rms
-    known = Known(errors.zero, _doubt(actuator, record), own, prepared.noise, cycle, slow, stroke)
-    changes = find_changes(trace, known, _PART * goal / 100 * stroke)
+    least = _PART * goal / 100 * stroke
+    known = Known(errors.zero, _doubt(actuator, record), own, prepared.noise, cycle, slow, stroke, least)
     unexplained = beyond_noise(judged, prepared.noise)
     return Recheck(
         record=record.name,
@@ -344,7 +345,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         stroke=stroke,
         goal=goal,
         drift=drift,
-        changes=changes,
+        changes=find_changes(trace, known),
         remarks=(*untested(actuator, promise, record.temperature), *_uncovered(actuator, record), *prepared.sentences),
         trace=trace,
         unjudged=float(trace.time[begin]) - min(trace.began, float(trace.time[0])) if begin else 0.0,
