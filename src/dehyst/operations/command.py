@@ -281,9 +281,9 @@ def paths_in(ctx: click.Context, *roles: Role) -> Iterator[Path]:
         value = ctx.params.get(parameter.name or "")
         if isinstance(parameter.type, FilePath) and parameter.type.role in roles and value is not None:
             yield from value if isinstance(value, tuple) else (value,)
-        elif Role.INPUT in roles:
-            # Values such as columns name files that are read too.
-            yield from getattr(value, "files", ())
+        elif Role.INPUT in roles and parameter.name == "columns" and value and value.join is not None:
+            # Columns may name a second file, which is read too.
+            yield Path(value.join)
 
 
 def command_of(ctx: click.Context, **replaced: str) -> str:
