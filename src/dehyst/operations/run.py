@@ -133,10 +133,11 @@ def perform(ctx: click.Context, run: Run) -> Result:
             raise OperationError(f"has no effect {why}", argument=parameter.name, hint="leave it out")
     outputs = list(paths_in(ctx, Role.OUTPUT))
     folders = list(paths_in(ctx, Role.FOLDER))
-    continued = [] if ctx.params.get("dry_run") else list(paths_in(ctx, Role.CONTINUED))
+    continued = list(paths_in(ctx, Role.CONTINUED))
     if run.force and not outputs and not folders and not continued:
         raise OperationError("has no effect without an output", argument="force", hint="leave it out")
-    demand_outputs(paths_in(ctx, Role.INPUT), outputs, continued, force=run.force)
+    tried = [] if ctx.params.get("dry_run") else continued
+    demand_outputs(paths_in(ctx, Role.INPUT), outputs, tried, force=run.force)
     for folder in folders:
         if folder.is_dir():
             demand_own_folder(folder, "", "", force=run.force)
