@@ -136,8 +136,7 @@ def perform(ctx: click.Context, run: Run) -> Result:
     continued = list(paths_in(ctx, Role.CONTINUED))
     if run.force and not outputs and not folders and not continued:
         raise OperationError("has no effect without an output", argument="force", hint="leave it out")
-    tried = [] if ctx.params.get("dry_run") else continued
-    demand_outputs(paths_in(ctx, Role.INPUT), outputs, tried, force=run.force)
+    demand_outputs(paths_in(ctx, Role.INPUT), outputs, () if "dry_run" in given else continued, force=run.force)
     for folder in folders:
         if folder.is_dir():
             demand_own_folder(folder, "", "", force=run.force)
