@@ -78,9 +78,9 @@ USELESS = 5.0
 # rate of turns above this multiple of that of the records. Beside it is this part of the growth of the records' error
 # with the pace.
 _FASTER, _OFTENER, _GROWTH = 0.4, 3.0, 0.6
-# Records may hide errors from a lag, and from its form, that are such parts of the error that they show. The largest
-# speed by the mean one of a branch; the RMS error from a lag by the largest one; and the largest one from its form.
-_HIDDEN, _FORM_HIDDEN, _PEAK, _LATE_RMS, _FORM = 0.15, 2.5, 1.9, 0.5, 0.25 * np.pi**2
+# The largest speed by the mean one of a branch; the RMS error from a lag by the largest one; how far a delay and a
+# low-pass are apart behind a turn; the ages, by its time constant, of equal parts of what a low-pass follows.
+_PEAK, _LATE_RMS, _AT_A_TURN, _MEMORY = 1.9, 0.5, 2 / np.e, -np.log1p(-(np.arange(16) + 0.5) / 16)
 # Powers of: the range of a path by the mean height of its branches; its range by that of the records; its longest
 # hold by that of the records, up to a largest ratio; and e, by the part of its time in which it rests.
 _PLACES, _RANGE, _HOLD, _LONGEST, _RESTING = 0.35, 0.7, 0.07, 20.0, 0.35
@@ -343,7 +343,7 @@ def promise(
     at, beyond, whole = newness(validity, v)
     speed, rate = _paces(validity, v, clock, at)
     shown = validity.shown * _kind(validity, v, clock, at) * (_LAGGING if validity.lag_open else 1.0)
-    late = _late(validity, shown, speed, rate)
+    late = 0.0 if clock is None else _late(validity, speed, v, clock)
     shown *= max(speed, rate / _OFTENER, 1.0) ** _FASTER
     shown = float(np.hypot(shown, _GROWTH * max(speed, rate) * validity.growth))
     grown = shown * float(_grown(whole))
@@ -445,17 +445,17 @@ def _kind(validity: Validity, voltage: Array, time: Array | None, at: NDArray[np
     return float(factor * np.clip(longer, 1.0, _LONGEST) ** _HOLD * np.exp(_RESTING * resting))
 
 
-def _late(validity: Validity, shown: float, speed: float, rate: float) -> float:
-    """Return the largest error [m] on a path of another speed and rate, by those of the records, from an unknown lag.
+def _late(validity: Validity, speed: float, voltage: Array, time: Array) -> float:
+    """Return the largest error [m] of a path from a wrong lag, unless that is open, and from its form.
 
-    An error of the lag counts at first order, unless it is apart as an open delay is; and its form, a delay or a
-    low-pass, at second order. `shown`: error that the records show [m].
+    The form counts by how far a delay and a low-pass of the same lag are apart, if farther than at a turn of records.
     """
-    faster, oftener = max(speed - 1.0, 0.0), max(rate**2 - ALIKE**2, 0.0)
-    fastest = validity.speeds[1] * validity.stroke / validity.span
-    wrong = 0.0 if validity.lag_open else np.hypot(validity.lag_error * fastest, _HIDDEN * shown)
-    form = min(_FORM * (validity.lag * validity.rates[1]) ** 2 * validity.stroke, _FORM_HIDDEN * shown)
-    return float(min(np.hypot(_PEAK * wrong * faster, form * oftener), validity.stroke))
+    lag, per_volt = validity.lag, validity.stroke / validity.span
+    fastest = validity.speeds[1] * per_volt
+    wrong = 0.0 if validity.lag_open else _PEAK * validity.lag_error * fastest * max(speed - 1.0, 0.0)
+    delayed, *passed = (np.interp(time - lag * part, time, voltage) for part in (1.0, *_MEMORY))
+    apart = float(np.abs(delayed - np.mean(passed, axis=0)).max()) * per_volt
+    return float(min(np.hypot(wrong, apart * (apart > ALIKE * _AT_A_TURN * fastest * lag)), validity.stroke))
 
 
 def _crept(validity: Validity, creep: DisplacementCreep | None, voltage: Array, time: Array | None) -> float:
