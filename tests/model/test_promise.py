@@ -75,7 +75,8 @@ def test_a_lag_of_records_of_one_pace_may_be_wrong_on_faster_paths():
     late = [promise(one_pace, voltage, time / times).parts.get("lag", 0.0) for times in (1, 5, 20)]
     # It moves the path by the lag's error times the speed, which is 100 V/s at the pace of the records.
     assert late[0] == 0 and np.all(late[1:] > np.array([4, 19]) * 0.01 * STROKE * 1.5)
-    # As a delay that is apart it does not count, and nobody knows its form.
+    stepped = 0.9 * voltage + 8 * ((time > 0.5) & (time < 1.5))
+    assert promise(one_pace, stepped, time).parts["lag"] > 0.02 * STROKE
     apart = promise(open_, voltage, time / 5)
     assert (apart.delay, promise(one_pace, voltage, time / 5).delay) == (0.01, 0.0)
     assert 0 < apart.parts["lag"] < late[1]

@@ -173,8 +173,7 @@ def test_no_zero_is_stated_that_creep_from_before_the_record_moves():
 
 
 def test_a_narrow_record_leaves_the_offset_open():
-    narrow = loops.later(offset=loops.OFFSET, tops=[60.0, 40.0])
-    recheck = dehyst.check(loops.model(), narrow)
+    recheck = dehyst.check(loops.model(), loops.later(offset=loops.OFFSET, tops=[60.0, 40.0]))
     assert of(recheck, "zero").error > 3 * of(dehyst.check(loops.model(), loops.later()), "zero").error
     assert any("covers 30" in remark for remark in recheck.remarks)
 
