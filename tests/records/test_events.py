@@ -15,6 +15,7 @@ from dehyst.records.events import counted_events, record_of_periodic
 from dehyst.records.record import columns_of
 from dehyst.report.pictures import record_in_time
 from dehyst.virtual import PlayActuator
+from dehyst.waveforms import Sampling, recommended
 from examples import at_night
 
 T = np.arange(601) * 0.01
@@ -185,6 +186,16 @@ def test_counts_are_right_or_refused_where_one_is_lost(kind, fault, wrong, count
     assert found[0] <= max(1, count // 20) and found[3] <= wrong
     # A closed loop is looked at last: its cycle holds the lost count.
     assert found[1] >= 0.9 * (found[1] + found[2])
+
+
+@pytest.mark.parametrize("creep", [0.0, 0.01, 0.03])
+@pytest.mark.parametrize("phase", [0.0, 0.4])
+def test_a_stage_is_counted_while_it_is_held_and_creeps(creep, phase):
+    played = recommended(100, drive=Sampling(0.1, sample_rate=100, slew_rate=20.0))
+    stage = PlayActuator(stroke=60.0, highest=100.0, width=0.6, creep=creep, noise=0)
+    y = stage.play(played.voltage, time=played.time)
+    signal = np.cos(2 * np.pi * (y + phase)) + 0.02 * np.random.default_rng(1).normal(size=y.size)
+    assert misses("fringe", played.time, played.voltage, y, signal).max() < 0.2
 
 
 def clean(**how):

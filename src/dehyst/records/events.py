@@ -25,15 +25,18 @@ _BAND, _TOP = 0.35, 0.6
 _SWING, _LEVELS = 0.3, 5
 # Turns of the voltage below this share of its range, or of the usual way between crossings, matter to no count.
 _LEAST_TURN, _SMALL_TURN = 1e-3, 0.2
-# Two crossings beside a turn that are nearer than this share of the usual way are one crossing, of a late displacement.
-_TWICE = 0.4
+# A late displacement may turn between two crossings after a turn that are nearer than this share of the usual way; a
+# signal that stays within this amplitude between two crossings has no extreme there.
+_TWICE, _EXTREME = 0.4, 0.95
 # Largest step of the voltage in a sample, and change in which the signal stays near its middle, in half periods; and
 # largest change without a crossing, in usual ways.
 _STEP, _STAYS, _LONGEST = 0.5, 0.6, 3.5
 # Ways between crossings relative to those beside: a longer one has lost a period, a shorter one has one too many.
 _LONG, _FIRST, _SHORT = {"fringe": 2.2, "grating": 1.8}, 2.2, 0.35
 # By how many usual ways the way back from a turn may be shorter than the way there, and longer than three of it.
-_NEARER, _FARTHER = 0.75, 1.0
+_NEARER, _FARTHER = 0.75, 1.5
+# Share of the samples between two crossings from which the voltage is held there.
+_HELD = 0.5
 # Amplitudes that no sample exceeds.
 _BEYOND = 1.5
 # Share of the voltage's range within which two cycles are alike, and half periods by which they may differ.
@@ -110,10 +113,10 @@ def counted_events(
     least = max(noise_span(voltage), 2 * resolution(voltage)[0], _LEAST_TURN * float(np.ptp(voltage)))
     turns = turning_points(voltage, least)
     z = _normalised(time, signal, turns)
-    found = _crossings(time, voltage, z, turns)
+    found = _crossings(time, voltage, z, turns, least, kind)
     # A smaller turn crosses no level twice.
     turns = turning_points(voltage, max(least, _SMALL_TURN * found.usual))
-    found = _crossings(time, voltage, z, turns)
+    found = _crossings(time, voltage, z, turns, least, kind)
     if kind == "grating":
         even = found.number % 2 == 0
         found = _Crossings(*(values[even] for values in found))
@@ -170,8 +173,12 @@ def _normalised(time: Array, signal: Array, turns: NDArray[np.intp]) -> Array:
     return np.asarray((2 * signal - levels[0] - levels[1]) / (levels[0] - levels[1]))
 
 
-def _crossings(time: Array, voltage: Array, z: Array, turns: NDArray[np.intp]) -> _Crossings:
-    """Return the counted crossings of the middle, each the zero of a line through its samples."""
+def _crossings(time: Array, voltage: Array, z: Array, turns: NDArray[np.intp], least: float, kind: str) -> _Crossings:
+    """Return the crossings of the middle, each the zero of a line through its samples, and count them.
+
+    The displacement turns between two crossings without an extreme of the signal between them, as it is late, or creeps
+    back while the voltage is held within `least` [V]; else where the voltage does, and at the end of a hold.
+    """
     outside = np.flatnonzero(np.abs(z) > _BAND)
     last = np.flatnonzero(np.diff(z[outside] > 0))
     when = np.empty(last.size)
@@ -179,15 +186,42 @@ def _crossings(time: Array, voltage: Array, z: Array, turns: NDArray[np.intp]) -
         w, t = np.arcsin(np.clip(z[a : b + 1], -1, 1)), time[a : b + 1]
         slope = float(np.polyfit(t - t.mean(), w, 1)[0])
         when[k] = np.clip(t.mean() - w.mean() / slope, t[0], t[-1])
-    found = _Crossings(when, np.interp(when, time, voltage), np.searchsorted(time[turns], when), last)
-    alone = np.isnan(np.append(np.nan, found.way[:-1])) | np.isnan(np.append(found.way[1:], np.nan))
-    twice = alone & (found.way < _TWICE * found.usual)
-    kept = ~(np.append(twice, False) | np.append(False, twice))
-    when, at, branch, _ = (values[kept] for values in found)
-    ends = voltage[[0, *turns.tolist(), -1]]
-    rising = np.sign(np.diff(ends))[branch]
-    count = np.cumsum(np.append(0, (rising[1:] + rising[:-1]) // 2))
-    return _Crossings(when, at, branch, count.astype(np.intp))
+    at, edges = np.interp(when, time, voltage), np.searchsorted(time, when)
+    peaks = np.array([np.abs(z[a:b]).max(initial=0.0) for a, b in pairwise([0, *edges.tolist(), z.size])])
+    bounds = [0, *turns.tolist(), voltage.size]
+    begins = [turn - _held(voltage[a : turn + 1][::-1], least) for a, turn in pairwise(bounds[:-1])]
+    ends = [turn + _held(voltage[turn:b], least) for turn, b in pairwise(bounds[1:])]
+    signs = np.sign(np.diff(voltage[[0, *turns.tolist(), -1]]))
+
+    def counted(places: NDArray[np.intp]) -> _Crossings:
+        """Count, with a turn between the crossings before and after each of its `places`."""
+        branch = np.searchsorted(places, np.arange(when.size), side="right")
+        rising = signs[branch]
+        number = np.cumsum(np.append(0, (rising[1:] + rising[:-1]) // 2)).astype(np.intp)
+        return _Crossings(when, at, branch, number[: when.size])
+
+    before, there, after = (np.searchsorted(when, time[own]) for own in (begins, turns, ends))
+    # Creep leads away from where the stage was until then: on along the branch, or back.
+    on = (voltage[turns] - np.cumsum(voltage)[turns] / (turns + 1)) * signs[:-1] >= 0
+    held = time[ends] - time[begins] > np.median(np.diff(when))
+    places = np.where(held, np.where(on, after, before), there)
+    raw = counted(there)
+    short = np.append(raw.way < _TWICE * raw.usual, [False] * 2)
+    for j, (first, last, place) in enumerate(zip(before.tolist(), after.tolist(), places.tolist(), strict=True)):
+        if kind == "grating":
+            # A line beside the turn is as high as the others.
+            places[j] = place + 1 if short[place] else place - 1 if place > 1 and short[place - 2] else place
+            continue
+        among = np.arange(first, last + 1 + short[last])
+        best = int(among[np.argmin(peaks[among])])
+        places[j] = best if peaks[best] < _EXTREME else place
+    return counted(np.maximum.accumulate(places))
+
+
+def _held(voltage: Array, least: float) -> int:
+    """Return the number of samples after the first one that stay within `least` [V] of it."""
+    away = np.abs(voltage - voltage[0]) > least
+    return (int(np.argmax(away)) if away.any() else voltage.size) - 1
 
 
 def _extremes(time: Array, z: Array, found: _Crossings) -> tuple[Array, Array]:
@@ -220,7 +254,8 @@ def _refuse_lost_counts(
     way, usual, longest = found.way, found.usual, int(np.bincount(found.branch).max(initial=0))
     if longest < _FEWEST:
         raise _refusal(f"{longest} crossings in the longest branch", f"drive over more periods, {_FEWEST} crossings")
-    half = usual if kind == "fringe" else 0.5 * usual
+    share = 1.0 if kind == "fringe" else 0.5
+    half = share * usual
     fast = np.flatnonzero(np.abs(np.diff(voltage)) > _STEP * half)
     if fast.size:
         raise _refusal(f"too few samples a period at {time[fast[0]]:.6g} s", "sample faster, or drive more slowly")
@@ -228,13 +263,20 @@ def _refuse_lost_counts(
     if beyond.size:
         demand(False, float(beyond[0]), float(beyond[-1]))
     for first, stop in runs(np.abs(z) < _BAND):
-        demand(np.ptp(voltage[first:stop]) < _STAYS * half, *time[[first, stop - 1]].tolist())
+        k = int(np.searchsorted(found.time, time[first]))
+        beside = np.nanmax([usual, *way[max(k - 2, 0) : k + 1]])
+        demand(np.ptp(voltage[first:stop]) < _STAYS * share * beside, *time[[first, stop - 1]].tolist())
     ends = np.concatenate([time[:1], found.time, time[-1:]])
     for a, b in pairwise(ends.tolist()):
         within = voltage[np.searchsorted(time, a) : np.searchsorted(time, b, side="right")]
         demand(np.ptp(within) <= _LONGEST * usual, a, b)
+    rest = _LEAST_TURN * float(np.ptp(voltage))
     for k in range(way.size):
         a, b = found.time[k : k + 2].tolist()
+        within = voltage[np.searchsorted(time, a) : np.searchsorted(time, b, side="right")]
+        if np.mean(np.abs(within - np.median(within)) <= rest) > _HELD:
+            # Creep counts by time, not by the voltage.
+            continue
         before, after = (way[j] if 0 <= j < way.size else np.nan for j in (k - 1, k + 1))
         if not np.isnan(way[k]):
             # After a turn, the displacement follows the voltage slowly at first.
@@ -248,6 +290,9 @@ def _refuse_lost_counts(
     levels, last = voltage[turns], np.searchsorted(found.branch, np.arange(turns.size), side="right") - 1
     place = found.number[last] + (levels - found.voltage[last]) / half
     alike = np.append([False] * 2, np.abs(levels[2:] - levels[:-2]) < _ALIKE * np.ptp(voltage))
+    branches = [voltage[a : b + 1] for a, b in pairwise([0, *turns.tolist()])]
+    held = np.array([np.mean(np.abs(branch - branch[-1]) <= rest) > _HELD for branch in branches])
     for k in range(3, turns.size):
-        same = alike[k] and alike[k - 1]
+        # Creep at a hold, and back after it, moves the ends of cycles.
+        same = alike[k] and alike[k - 1] and not held[k - 3 : k + 1].any()
         demand(not same or abs(place[k] - place[k - 2]) < _JUMP, *time[turns[[k - 2, k]]].tolist())
