@@ -187,7 +187,7 @@ def test_uneven_steps_are_no_noise(seed):
         (T[::-1], "wrong sign"),
         (np.floor(T / 0.05) * 0.05, 50),
         (np.floor(T / 0.03) * 0.03, 50),
-        (np.concatenate([T[:500], T[:400], T[: V.size - 900]]), "samples 500, 900 of"),
+        (np.concatenate([T[:500], T[:400], T[: V.size - 900]]), "sample 500 of"),
         (T - 8.0 * (T > 10), 50),
         ((T + 86390) % 86400, 50),
         (T[np.arange(T.size) // 2], 100),

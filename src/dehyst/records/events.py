@@ -26,8 +26,8 @@ _SWING, _LEVELS = 0.3, 5
 # Turns of the voltage below this share of its range, or of the usual way between crossings, matter to no count.
 _LEAST_TURN, _SMALL_TURN = 1e-3, 0.2
 # A late displacement may turn between two crossings after a turn that are nearer than this share of the usual way; a
-# signal that stays within this amplitude between two crossings has no extreme there.
-_TWICE, _EXTREME = 0.4, 0.95
+# signal within this amplitude between two crossings has no extreme there; a voltage is held from this share of samples.
+_TWICE, _EXTREME, _HELD = 0.4, 0.95, 0.5
 # Largest step of the voltage in a sample, and change in which the signal stays near its middle, in half periods; and
 # largest change without a crossing, in usual ways.
 _STEP, _STAYS, _LONGEST = 0.5, 0.6, 3.5
@@ -35,8 +35,6 @@ _STEP, _STAYS, _LONGEST = 0.5, 0.6, 3.5
 _LONG, _FIRST, _SHORT = {"fringe": 2.2, "grating": 1.8}, 2.2, 0.35
 # By how many usual ways the way back from a turn may be shorter than the way there, and longer than three of it.
 _NEARER, _FARTHER = 0.75, 1.5
-# Share of the samples between two crossings from which the voltage is held there.
-_HELD = 0.5
 # Amplitudes that no sample exceeds.
 _BEYOND = 1.5
 # Share of the voltage's range within which two cycles are alike, and half periods by which they may differ.
@@ -148,7 +146,7 @@ class _Crossings(NamedTuple):
     @property
     def usual(self) -> float:
         """The median of these ways [V]; raise `RecordError` if there is none."""
-        if np.isnan(self.way).all():
+        if not np.nan_to_num(self.way).any():
             raise _refusal("no period between two turns of the voltage", "drive over more periods")
         return float(np.nanmedian(self.way))
 
@@ -254,8 +252,7 @@ def _refuse_lost_counts(
     way, usual, longest = found.way, found.usual, int(np.bincount(found.branch).max(initial=0))
     if longest < _FEWEST:
         raise _refusal(f"{longest} crossings in the longest branch", f"drive over more periods, {_FEWEST} crossings")
-    share = 1.0 if kind == "fringe" else 0.5
-    half = share * usual
+    half = usual if kind == "fringe" else 0.5 * usual
     fast = np.flatnonzero(np.abs(np.diff(voltage)) > _STEP * half)
     if fast.size:
         raise _refusal(f"too few samples a period at {time[fast[0]]:.6g} s", "sample faster, or drive more slowly")
@@ -265,17 +262,13 @@ def _refuse_lost_counts(
     for first, stop in runs(np.abs(z) < _BAND):
         k = int(np.searchsorted(found.time, time[first]))
         beside = np.nanmax([usual, *way[max(k - 2, 0) : k + 1]])
-        demand(np.ptp(voltage[first:stop]) < _STAYS * share * beside, *time[[first, stop - 1]].tolist())
-    ends = np.concatenate([time[:1], found.time, time[-1:]])
-    for a, b in pairwise(ends.tolist()):
+        demand(np.ptp(voltage[first:stop]) < _STAYS * half / usual * beside, *time[[first, stop - 1]].tolist())
+    ends, rest = [time[0], *found.time.tolist(), time[-1]], _LEAST_TURN * float(np.ptp(voltage))
+    for k, (a, b) in enumerate(pairwise(ends), -1):
         within = voltage[np.searchsorted(time, a) : np.searchsorted(time, b, side="right")]
         demand(np.ptp(within) <= _LONGEST * usual, a, b)
-    rest = _LEAST_TURN * float(np.ptp(voltage))
-    for k in range(way.size):
-        a, b = found.time[k : k + 2].tolist()
-        within = voltage[np.searchsorted(time, a) : np.searchsorted(time, b, side="right")]
-        if np.mean(np.abs(within - np.median(within)) <= rest) > _HELD:
-            # Creep counts by time, not by the voltage.
+        # While the voltage is held, creep counts by time.
+        if not 0 <= k < way.size or np.mean(np.abs(within - np.median(within)) <= rest) > _HELD:
             continue
         before, after = (way[j] if 0 <= j < way.size else np.nan for j in (k - 1, k + 1))
         if not np.isnan(way[k]):

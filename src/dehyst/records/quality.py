@@ -29,8 +29,6 @@ _SLOWEST = 1000.0
 _FEWEST, _SWEEP = 20, 3
 # A time starts again within this part of its way so far.
 _AGAIN = 0.1
-# Most rows that are named.
-_NAMED = 5
 
 
 def fault_of(values: Array, column: str, unit: str) -> str:
@@ -72,10 +70,9 @@ def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
     begins = np.flatnonzero(steps < 0.0) + 1
     again = np.abs(time[begins] - time[0]) <= _AGAIN * (time[begins - 1] - time[0])
     if begins.size and np.diff([0, *begins.tolist(), time.size]).min() >= _SWEEP and again.all():
-        samples = ", ".join(map(str, begins[:_NAMED])) + ", ..." * (begins.size > _NAMED)
         return (
-            f"the time starts again at sample{'s' * (begins.size > 1)} {samples} of {time.size}, counted from 0: "
-            f"{begins.size + 1} sweeps; read each as a record of its own, and give all of them to identify"
+            f"the time starts again at sample {begins[0]} of {time.size}, counted from 0: {begins.size + 1} sweeps; "
+            "read each as a record of its own, and give all of them to identify"
         )
     i = int(bad[0])
     words = f"time[{i + 1}] = {time[i + 1]:.9g} s follows time[{i}] = {time[i]:.9g} s"
@@ -113,9 +110,8 @@ def guesses(record: Record) -> tuple[str, ...]:
         doubts = [f"The displacement has {moved:.3g} m for {driven:.3g} V, where a stage has 2 nm to 50 um for each"]
     if (cycle := float(np.ptp(record.time)) / max(len(record.cycles()), 1)) > _SLOWEST:
         doubts.append(f"The time has {cycle:.3g} s a cycle")
-    guessed = dict(record.meta.get("guesses") or {})
     return (
-        *(f"The {key} is guessed, verify: {words}." for key, words in guessed.items()),
+        *(f"The {key} is guessed, verify: {words}." for key, words in record.meta.get("guesses", {}).items()),
         *(f"{doubt}; check its unit and scale." for doubt in doubts),
     )
 
@@ -158,7 +154,6 @@ def _of_samples(whole: Record, record: Record) -> Iterator[str]:
         polled = column == "displacement" and new_samples(record.voltage, record.displacement) is not None
         if part > 0.005 and often and not polled:
             yield f"The {column} moves in steps of {step:.3g} {unit}, {100 * part:.2g} % of its range: quantised."
-
     temperatures = [channel.column for channel in record.others if channel.role == "temperature"]
     if len(temperatures) > 1:
         yield f"Of the temperatures {' and '.join(temperatures)} none is used; leave all out but the actuator's."
