@@ -160,11 +160,11 @@ OTHERS = {
 
 
 def test_models_of_others_fail_in_their_own_rows_only(records):
-    comparison = compare(records, validate=records[1], models={**OTHERS, "truth": plant})
+    comparison = compare(records[0], validate=records[1], models={**OTHERS, "truth": plant})
     found = {row.name: row for row in comparison.rows}
     assert {name for name, row in found.items() if row.failure} == {*OTHERS} - {"empties"}
     assert all(str(error) in found[name].failure for name, error in ERRORS.items())
-    assert [len(row.scores) for row in found.values()] == [3, *[0] * 8, 3]
+    assert [len(row.scores) for row in found.values()] == [2, *[0] * 8, 2]
     said = {row["model"]: row["said"] for row in json.loads(json.dumps(comparison.as_dict()))["models"]}
     assert said == {name: row.failure or None for name, row in found.items()}
 
@@ -179,6 +179,11 @@ class Late(Linear):
 def test_a_model_of_which_no_sample_counts_has_no_score(records):
     (row,) = compare(records[0], models={"late": lambda _: Late(7.0)}).rows
     assert row.failure and row.scores == ()
+
+
+def test_a_record_that_was_fitted_validates_nothing(records):
+    with pytest.raises(IdentifyError):
+        compare(records, validate=records[1], models={"truth": plant})
 
 
 def test_the_last_quarter_is_held_out_by_itself(records):

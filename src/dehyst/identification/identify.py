@@ -24,7 +24,7 @@ from dehyst.identification.fit import Fit
 from dehyst.identification.frame import Frame
 from dehyst.identification.identifiability import probed
 from dehyst.identification.motion import Motion, temperatures_of
-from dehyst.identification.preparation import ENOUGH, Prepared, as_list, demand_short, list_of, prepare
+from dehyst.identification.preparation import ENOUGH, Prepared, as_list, demand_short, distinct, prepare
 from dehyst.identification.results import RecordErrors, Trace
 from dehyst.identification.rules import RULES
 from dehyst.identification.search import Fitted, Trial
@@ -96,10 +96,7 @@ def identify(
     _validation.Numbers(least=1e-3, most=100.0, error=IdentifyError)(goal, "goal")
     deadline = time_limit if isinstance(time_limit, Deadline) else Deadline(time_limit)
     report = deadline.watched(progress or (lambda _: None))
-    training, held_out = list_of(records), list_of(validate)
-    if not training:
-        raise IdentifyError("got no records, need one loop of voltage and displacement at least")
-    _refuse_copies([*training, *held_out])
+    training, held_out = distinct(records, validate)
 
     def alone(training: list[Record], held_out: list[Record], report: Progress) -> Fit:
         def fit(some: list[Record], others: list[Record]) -> Fit:
@@ -112,18 +109,6 @@ def identify(
         fit: Any = identify_axes(training, held_out, alone, report)
         return cast("Fit", fit)
     return alone(training, held_out, report)
-
-
-def _refuse_copies(records: list[Record]) -> None:
-    """Reject duplicate records: their held-out cycles would not be unseen."""
-    seen: dict[bytes, str] = {}
-    for record in records:
-        key = record.displacement.tobytes() + record.voltage.tobytes()
-        if key in seen:
-            raise IdentifyError(
-                f"{record.name}: has the same samples as {seen[key]}; give each record once, and another to validate"
-            )
-        seen[key] = record.name
 
 
 @dataclass(eq=False)

@@ -345,6 +345,21 @@ def list_of(records: Record | Sequence[Record]) -> list[Record]:
     return given
 
 
+def distinct(training: Any, validation: Any) -> tuple[list[Record], list[Record]]:
+    """Return records as `list_of`; raise `IdentifyError` too without training, or for copies: none would be unseen."""
+    first, others, seen = list_of(training), list_of(validation), dict[bytes, str]()
+    if not first:
+        raise IdentifyError("got no records, need one loop of voltage and displacement at least")
+    for record in (*first, *others):
+        key = record.displacement.tobytes() + record.voltage.tobytes()
+        if key in seen:
+            raise IdentifyError(
+                f"{record.name}: has the same samples as {seen[key]}; give each record once, and another to validate"
+            )
+        seen[key] = record.name
+    return first, others
+
+
 def as_list(records: Record | Sequence[Record]) -> list[Record]:
     """Return one or several records of one axis as a list, as `list_of`; raise `RecordError` if one has several."""
     return [of_one_axis(item) for item in list_of(records)]

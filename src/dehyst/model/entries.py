@@ -50,7 +50,7 @@ def instance(*kinds: type, optional: bool = False, need: str = "") -> Reader:
         own = [kind for kind in kinds if issubclass(kind, Entries) and isinstance(value, Mapping)]
         if own:
             return next((kind for kind in own if set(kind._keys()) == set(value)), own[0]).from_dict(value)
-        needed = need or f"a {' or '.join(kind.__name__ for kind in kinds)}"
+        needed = need or f"an object of {' or '.join(kind.__name__ for kind in kinds)}"
         raise ModelError(argument=where, got=f"{type(value).__name__} {value!r:.40}", need=needed)
 
     return read

@@ -14,7 +14,7 @@ from dehyst._errors import IdentifyError, RecordError
 from dehyst._threads import one_thread
 from dehyst._types import Array, Mask, Progress
 from dehyst._views.fields import json_value, json_values
-from dehyst.identification import Prepared, as_list, epochs, identify, prepare, state_after, without_offset
+from dehyst.identification import Prepared, distinct, epochs, identify, prepare, state_after, without_offset
 from dehyst.model import AbstractModel, Actuator, simulated, timed
 from dehyst.records import Record, largest, percent, rms
 from dehyst.trust.baselines import Linear, TwoBranches
@@ -207,11 +207,9 @@ def compare(
     RecordError
         If a record cannot be used at all.
     IdentifyError
-        If there is no record, or no part of a record can be held out.
+        If there is no record, one is given twice, or no part of a record can be held out.
     """
-    training, given = as_list(records), as_list(validate)
-    if not training:
-        raise IdentifyError("got no records, need at least one loop of voltage and displacement")
+    training, given = distinct(records, validate)
     held_out = [Played(prepare(record)) for record in given]
     if not given:
         training, held_out = _kept_apart(training)
