@@ -114,7 +114,8 @@ def checked(name, own, aged, kind, seed):
     """Return what a check states: rows of (name, kind, value, error, truth, whether stated), and what it misses."""
     (stage, model), excitation = identified(name, own), LATER[kind]
     record, slow = stage.record(excitation, aged, seed)
-    changes, (true, most) = dehyst.check(model, record).changes, truth(stage, aged, excitation, slow)
+    *changes, shape = dehyst.check(model, record).changes
+    true, most = truth(stage, aged, excitation, slow)
     slower, rows = next((change.name for change in changes if change.name in SLOW), "creep"), []
     for change in changes:
         together = min(change.value, sum(most["creep" if part == "drift" else part] for part in change.parts))
@@ -122,7 +123,7 @@ def checked(name, own, aged, kind, seed):
         rows.append((change.name, kind, change.value, change.error, right, change.counts))
     named = {"creep" if part == "drift" else part for change in changes if change.counts for part in change.parts}
     large = [part for part, effect in most.items() if effect > 0.02 * STROKE]
-    return rows, large, [(part, kind, aged) for part in large if part not in named]
+    return rows, large, [(part, kind, aged, shape.counts) for part in large if part not in named]
 
 
 def updated(name, own, aged, kind, seed):
