@@ -453,8 +453,10 @@ def _late(validity: Validity, speed: float, voltage: Array, time: Array) -> floa
     lag, per_volt = validity.lag, validity.stroke / validity.span
     fastest = validity.speeds[1] * per_volt
     wrong = 0.0 if validity.lag_open else _PEAK * validity.lag_error * fastest * max(speed - 1.0, 0.0)
-    delayed, *passed = (np.interp(time - lag * part, time, voltage) for part in (1.0, *_MEMORY))
-    apart = float(np.abs(delayed - np.mean(passed, axis=0)).max()) * per_volt
+    passed = np.zeros(voltage.size)
+    for age in _MEMORY if lag else ():
+        passed += np.interp(time - lag * age, time, voltage) / _MEMORY.size
+    apart = float(np.abs(np.interp(time - lag, time, voltage) - passed).max()) * per_volt if lag else 0.0
     return float(min(np.hypot(wrong, apart * (apart > ALIKE * _AT_A_TURN * fastest * lag)), validity.stroke))
 
 
