@@ -75,7 +75,7 @@ def entrants() -> dict:
 
 def virtual() -> dict:
     found = demo.journey().as_dict()
-    return {key: found[key] for key in ("linear", "compensated", "paper")} | {"errors": found["fit"]["errors"]}
+    return {key: found[key] for key in ("linear", "compensated")} | {"errors": found["fit"]["errors"]}
 
 
 def p885(folder: Path) -> tuple[dehyst.Record, dehyst.Record]:
