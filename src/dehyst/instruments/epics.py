@@ -150,7 +150,7 @@ class EpicsRig(AbstractRig):
         self._link, self._names = link, names
         identity = "" if names.identity is None else link.text(names.identity)
         self._metres = link.metres(names.position)
-        self._began = time.monotonic()
+        self._began = self._now()
         name = f"epics://{link.prefix.removesuffix(':')}" + (f" ({identity})" if identity else "")
         low, high = link.limits(names.voltage)
         if not low < high:
@@ -192,7 +192,7 @@ class EpicsRig(AbstractRig):
 
     def _read(self) -> Reading:
         voltage, position = self._link.numbers(self._names.readback, self._names.position)
-        return Reading(time.monotonic() - self._began, voltage, self._metres * position)
+        return Reading(self._now() - self._began, voltage, self._metres * position)
 
     def _read_voltage(self) -> float:
         deadline = time.monotonic() + _STALE

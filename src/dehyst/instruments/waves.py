@@ -280,8 +280,9 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction
     """
     period, readings, read, answer = 1 / rate, list[Reading](), None, 0.0
     sent = yielded = rig._now()
-    # A ramp has just taken its last step, and the first voltage of a loop is another.
+    # A ramp has just taken its last step, to the first voltage; that of a loop is another. Nothing else is out yet.
     due, before = sent + period * (step is not None), float(voltage[0])
+    rig._output.puts(before)
     for k in range(len(voltage)):
         rig._wait(max(0.0, due - rig._now()))
         if step is not None:
@@ -300,8 +301,7 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction
         rig._wait(max(0.0, 0.5 * (began + sent + period - answer) - rig._now()))
         asked = rig._now()
         readings.append(rig._reading())
-        read, now = readings[-1].displacement, rig._now()
-        answer = now - asked
+        read, answer = readings[-1].displacement, (now := rig._now()) - asked
         if now - yielded >= _BATCH_SECONDS or k == len(voltage) - 1:
             yield Samples(*np.array(readings, dtype=np.float64).T)
             readings, yielded = [], now

@@ -78,7 +78,7 @@ def calibrate(
     output: Path = output("Folder; that of an earlier calibration goes on.", CONTINUED, default="dehyst-calibration"),
     axes: str | None = option("Calibrate these axes of one body together, as 1,2,3; default: one axis."),
     limits: OfAxes = limits_option("Range of the voltage [V]; default: the device's."),
-    slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: the whole range in 0.1 s."),
+    slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: the device's."),
     frequency: float | None = number("Frequency [Hz] of the slowest loops; default: 0.1, or 1 for several axes."),
     goal: float = number("Largest error [% of the stroke] of a good calibration, on every axis.", default=1.0),
     dry_run: bool = flag("Print what would be sent, and send nothing."),

@@ -74,7 +74,9 @@ def follow(
         wanted, bounds = _placed(run, known, instrument, wanted, allowed, slews, zero, warmth)
         played = min(rate, HIGHEST_RATE) if feedback else played_rate(instrument, rate)
         if abs(played / rate - 1) > _RATES:
-            run.note(f"the path has {rate:.6g} Hz, and is played at {played:.6g} Hz, as {instrument.name} can")
+            seconds = (len(wanted) - 1) / np.array([rate, played])
+            words = f"played in {seconds[1]:.4g} s, at {played:.6g} Hz in place of {rate:.6g}, as {instrument.name} can"
+            run.note(f"the path of {seconds[0]:.4g} s is {words}; fewer samples would keep its speed")
         size = len(wanted)
         if learn or (repeat or 1) > 1:
             wanted = closed_path(wanted)

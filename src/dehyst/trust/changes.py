@@ -29,8 +29,9 @@ from dehyst._views import lines
 from dehyst.identification import Trace
 from dehyst.records import percent, turning_points
 
-# Least multiple of its standard error from which a change counts; others are insignificant at this probability.
-SIGMAS, TOGETHER, _INSIGNIFICANT = 3.0, 2.0, 0.0027
+# Least multiple of its standard error from which a change counts. Changes explain a record if the others are not
+# significant at this probability, and they leave at most this multiple of what all leave.
+SIGMAS, TOGETHER, _INSIGNIFICANT, _MORE = 3.0, 2.0, 0.0027, 1.2
 # Knots of the mean line; blocks of samples; steps of the search for a delay, of which the regression knows one order.
 _KNOTS, _BLOCKS, _STEPS = 24, 400, 4
 # Over which part of the voltages, and of h, the error of a model is alike. The part of a change that does not look like
@@ -42,10 +43,8 @@ _NARROW = 1e-3
 _DEPENDENT, _SMALL = 1e-6, 1e-5
 # Part of a cycle from which on the time of creep is counted.
 _EARLY = 0.1
-# Names of the slow changes, of which a record shows one.
-SLOW = ("creep", "drift")
-# Names of the changes that an update learns.
-LEARNT = ("gain", "width", "shape")
+# Names of the slow changes, of which a record shows one, and of the changes that an update learns.
+SLOW, LEARNT = ("creep", "drift"), ("gain", "width", "shape")
 # Factor and unit in which each is shown.
 _AND = " and "
 _SHOWN = {"gain": (100.0, "%"), "width": (100.0, "%"), "lag": (1e3, "ms")}
@@ -158,10 +157,8 @@ def find_changes(trace: Trace, known: Known) -> tuple[Change, ...]:
     apart = [name for name in every.names if name in needed - sure]
     found = list[Change]()
     for name in every.names:
-        if name in apart:
-            found.append(replace(every.only({*sure, name}).change([name]), counts=False))
-        else:
-            found.append(every.only({*needed, name}).change([name]))
+        change = every.only({*(sure if name in apart else needed), name}).change([name])
+        found.append(replace(change, counts=change.counts and name not in apart))
     found += [every.only(needed).change(apart)] if apart else []
     stated = {part for change in found if change.counts for part in change.parts}
     return *found, every.only(stated).shape()
@@ -205,8 +202,8 @@ class _SimulatedLoop:
     def later(self, delay: float) -> _SimulatedLoop:
         """Return the loop as seen by a sensor with a `delay` [s]."""
         late = self.time - delay
-        moved = (np.interp(late, self.time, values) for values in (self.voltage, self.simulated, self.mean))
-        voltage, simulated, mean = moved
+        given = self.voltage, self.simulated, self.mean
+        voltage, simulated, mean = (np.interp(late, self.time, values) for values in given)
         return replace(self, voltage=voltage, simulated=simulated, mean=mean)
 
     def slow(self, name: str, cycle: float) -> Array:
@@ -240,19 +237,24 @@ class _ChangeFit:
         return replace(self, names=kept, values=values, most=self.most[places], columns=columns, left=left)
 
     def needed(self) -> tuple[set[str], set[str]]:
-        """Return what all and what any of the smallest sets of changes contain beside which no others are needed."""
+        """Return what all and what any of the smallest sets contain that explain the record as all changes do."""
         from scipy.special import chdtri
 
         error = np.sqrt(np.diag(self.covariance))
         sigmas, alike = self.values / error, self.covariance / np.outer(error, error)
+        most, smallest = max(_MORE * self.shape().value, self.known.own), list[set[str]]()
         for count in range(len(error), -1, -1):
-            sets = []
+            enough = []
             for others in combinations(range(len(error)), count):
                 away, back = sigmas[[*others]], np.linalg.pinv(alike[np.ix_(others, others)], _DEPENDENT, True)
                 if not count or away @ back @ away <= chdtri(count, _INSIGNIFICANT):
-                    sets.append({name for place, name in enumerate(self.names) if place not in others})
-            if sets:
+                    enough.append({name for place, name in enumerate(self.names) if place not in others})
+            smallest = smallest or enough
+            if sets := [names for names in enough if not count or self.only(names).shape().value <= most]:
                 break
+        # If either of two changes makes all others insignificant, the record cannot tell them apart.
+        pairs = [a ^ b for a, b in combinations(smallest, 2) if len(a ^ b) == 2]
+        sets += [names ^ pair for names in sets for pair in pairs if len(names & pair) == 1]
         return set.intersection(*sets), set.union(*sets)
 
     def change(self, parts: list[str]) -> Change:

@@ -237,7 +237,7 @@ class _Refit:
         known: dict[str, Any] = {}
         if used:
             known["largest_error"] = largest(after)
-            source = {"updated_from": self.old.name, "updated_with": self.record.name}
+            source = {"updated_from": self.old.name, "updated_with": self.prepared.source()}
             made = replace(made, provenance={**self.old.provenance, **source})
         else:
             # The old model is still that of its own records.

@@ -161,10 +161,10 @@ class Part:
         if leads and timed:
             self.delay = delay
             words = "the voltage leads the path by the delay of the actuator, {:.4g} ms: the path is on time"
-        elif lag_of == "actuator" or not timed:
-            self.late, words = delay, "the displacement lags by {:.4g} ms: expect the path that much later"
         else:
-            words = "the records lag by {:.4g} ms: expect the path that much later, unless their sensor lagged"
+            self.late, words = delay, "the displacement lags by {:.4g} ms: expect the path that much later"
+            if lag_of != "actuator" and timed:
+                words = "the records lag by {:.4g} ms: expect the path that much later, unless their sensor lagged"
         self.remarks = (words.format(1e3 * delay),)
 
     def jumps(self, time: Array | None) -> bool:
