@@ -274,8 +274,8 @@ _MANY, _TURN = 20, 0.02
 # A coupling has changed if it differs by more than this, and by more than this multiple of its standard error.
 _COUPLED, _ERRORS = 0.005, 3.0
 # A record of less than this part of the model's voltages says nothing of the longest elements. A fitted start is that
-# after slow loops if the ways to the first turning point differ by less than this part of the promise.
-_LITTLE, _KNOWN = 0.5, 0.5
+# after slow loops if the ways to the first turn differ by less than this part of the promise; samples of its error.
+_LITTLE, _KNOWN, _BEGIN = 0.5, 0.5, 5
 
 
 @overload
@@ -386,8 +386,8 @@ def coupling_of(stage: Stage, records: Sequence[Record]) -> tuple[Array, Array]:
 def _judged_from(actuator: Actuator, trace: Trace, start: State, promise: Promise | None) -> int:
     """Return the first sample that is judged: that of the first turning point, unless the fitted `start` is known.
 
-    It is known if it leads along the way after slow loops, within a part of the promise; else a changed actuator and
-    one with another past look alike until then. A single loop is judged whole: half of it would not show its width.
+    It is known if it keeps the promise, and leads along the way after slow loops within a part of it; else a changed
+    actuator and one with another past look alike until then. Half of a single loop would not show its width.
     """
     if trace.settled.time.size == trace.time.size:
         return 0
@@ -400,8 +400,10 @@ def _judged_from(actuator: Actuator, trace: Trace, start: State, promise: Promis
         model.simulate(voltage, time=time, state=state, extrapolate=True).displacement
         for state in (replace(start, displacement_creep=()), *looped)
     )
-    within = 0.0 if promise is None else _KNOWN * promise.largest
-    return turn if min(largest(way - fitted) for way in known) > within else 0
+    bound, apart = 0.0 if promise is None else promise.largest, np.abs(trace.residual - trace.residual[turn:].mean())
+    # An error of the start is largest there, and over at the turn.
+    of_start = np.median(apart[:_BEGIN]) > bound >= apart[turn:].max()
+    return turn if of_start or min(largest(way - fitted) for way in known) > _KNOWN * bound else 0
 
 
 def _steadied(trace: Trace) -> tuple[Array, float]:

@@ -98,9 +98,7 @@ class Update:
         held, old, most = (lines.percent(length, self.recheck.stroke) for length in lengths)
         text = f"Updated: the RMS error is {held} of the stroke on parts held out, where the old model has {old}."
         if not self.used:
-            kept = (
-                "which its promise allows: it stays as it is" if self.recheck.kept else "which its promise now counts"
-            )
+            kept = "which its promise allows: it stays" if self.recheck.kept else "which its promise now counts"
             text = f"Not updated: no other model predicts the record better. The old one misses it by {most}, {kept}."
         more = f": `{self.recheck.to_record}` shows more" if self.recheck.to_record else ""
         return text if self.good else f"{text} The goal of {self.recheck.goal:g} % on any path is not met{more}."
