@@ -67,7 +67,8 @@ def test_whole_records_of_all_axes_are_kept(calibrated, monkeypatch):
         with pytest.raises(KeyboardInterrupt) as caught:
             calibrate(rig, folder, watcher=Heard("nominal", after=500))
         assert [axis.voltage for axis in bench.axes] == [0.0] * 3
-    assert caught.value.__notes__ == ["The voltage of the axes 1, 2, 3 was brought to 0, 0, 0 V."]
+    (note,) = caught.value.__notes__
+    assert note.voltages == (0.0, 0.0, 0.0)
     assert len(read(folder / "records" / "axes.csv", COLUMNS)) == len(result.training)
     assert Stage.load(folder / "stage.json")
 

@@ -40,7 +40,7 @@ HOUSE = {
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2716,
-    "lines of tests": 30322,
+    "lines of tests": 30323,
     "lines of benchmarks": 4947,
     "words of docs": 27382,
     "public names": 110,
