@@ -80,7 +80,7 @@ USELESS = 5.0
 _FASTER, _OFTENER, _GROWTH = 0.4, 3.0, 0.6
 # The largest speed by the mean one of a branch; the RMS error from a lag by the largest one; how far a delay and a
 # low-pass are apart behind a turn; the ages, by its time constant, of equal parts of what a low-pass follows.
-_PEAK, _LATE_RMS, _AT_A_TURN, _MEMORY = 1.9, 0.5, 2 / np.e, -np.log1p(-(np.arange(16) + 0.5) / 16)
+_PEAK, _LATE_RMS, _AT_A_TURN, _MEMORY = 1.9, 0.5, 2 * float(np.exp(-1.0)), -np.log1p(-(np.arange(16) + 0.5) / 16)
 # Powers of: the range of a path by the mean height of its branches; its range by that of the records; its longest
 # hold by that of the records, up to a largest ratio; and e, by the part of its time in which it rests.
 _PLACES, _RANGE, _HOLD, _LONGEST, _RESTING = 0.35, 0.7, 0.07, 20.0, 0.35
