@@ -104,9 +104,9 @@ def truth(stage, aged, excitation, slow):
         found[f"zero beside {name}"] = new[-1] - old[-1] + rest
     bins, rising = np.round(voltage / 2).astype(int), np.gradient(voltage) > 0
     between = [np.ptp(new[bins == k]) if np.any(rising[bins == k]) else 0.0 for k in range(2, 49)]
-    effects = {"gain": found["gain"] * np.ptp(new), "width": found["width"] * max(between) / 2,
-               "lag": aged["lag"] * np.abs(np.gradient(new, time)).max(), "zero": found["zero beside creep"],
-               "creep": found["creep"] * curve[-1]}  # fmt: skip
+    effects = {"gain": found["gain"] * np.ptp(new), "width": found["width"] * max(between) / 2}
+    effects |= {"lag": aged["lag"] * np.abs(np.gradient(new, time)).max(), "zero": found["zero beside creep"]}
+    effects["creep"] = found["creep"] * curve[-1]
     return found, {name: abs(effect) for name, effect in effects.items()}
 
 
@@ -151,12 +151,11 @@ def main() -> None:
     rows = [row for rows, _, _ in found for row in rows]
     beyond = [abs(value - true) > 2 * error for _, _, value, error, true, _ in rows]
     kept = {name: [not far for far, row in zip(beyond, rows, strict=True) if row[0] == name] for name in SIZES}
-    table = {
-        "truths": len(found), "stated": sum(row[-1] for row in rows),
-        "false": [row for far, row in zip(beyond, rows, strict=True) if far and row[-1]],
-        "within two errors": {name: [sum(some), len(some)] for name, some in kept.items()},
-        "over 2 %": sum(len(large) for _, large, _ in found), "missed": [x for *_, missed in found for x in missed],
-    }  # fmt: skip
+    table = {"truths": len(found), "stated": sum(row[-1] for row in rows)}
+    table["false"] = [row for far, row in zip(beyond, rows, strict=True) if far and row[-1]]
+    table["within two errors"] = {name: [sum(some), len(some)] for name, some in kept.items()}
+    table["over 2 %"] = sum(len(large) for _, large, _ in found)
+    table["missed"] = [x for *_, missed in found for x in missed]
     kinds = "2 sines", "4 triangles", "excitation"
     table["updates"] = [updated(*case[:3], kinds[k % 3], case[4]) for k, case in enumerate(cases[:UPDATES])]
     for kind in kinds:

@@ -132,7 +132,7 @@ def _answer(
     reasons = known.prefixed(reason_of(plan.promise) for plan in plans)
     urgent += known.prefixed([plan.failure] if plan.failure else [] for plan in plans)
     others = [*remarks, *(sentence for sentence in said if sentence not in {*urgent, *reasons})]
-    told = {**known.merged([_numbers(*axis[:4]) for axis in axes]), "warnings": [*urgent, *reasons, *others]}
+    fields = {**known.merged([_numbers(*axis[:4]) for axis in axes]), "warnings": [*urgent, *reasons, *others]}
     spans = (span_of(plan.voltage, "V") for plan in plans)
     words = known.prefixed(
         [f"{span} {starts.begin_words(actuator, plan, limits, now)}"]
@@ -153,7 +153,7 @@ def _answer(
         )
         good = good and found.settled and not found.plan.clamped.any()
     more = [*lines, *others[1:]] if others[1:] else ()
-    return Result(told | made, lines, more, [*urgent, *others[:1]], good)
+    return Result(fields | made, lines, more, [*urgent, *others[:1]], good)
 
 
 @contextmanager

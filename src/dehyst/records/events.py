@@ -34,7 +34,7 @@ _STEP, _STAYS, _LONGEST = 0.5, 0.6, 3.5
 # Ways between crossings relative to those beside: a longer one has lost a period, a shorter one has one too many.
 _LONG, _FIRST, _SHORT = {"fringe": 2.2, "grating": 1.8}, 2.2, 0.35
 # By how many usual ways the way back from a turn may be shorter than the way there, and longer than three of it.
-_NEARER, _FARTHER = 0.75, 1.5
+_NEARER, _FARTHER = 0.75, 1.0
 # Amplitudes that no sample exceeds.
 _BEYOND = 1.5
 # Share of the voltage's range within which two cycles are alike, and half periods by which they may differ.

@@ -1,4 +1,4 @@
-"""What the loops of a record tell of its origin: an echo, swapped columns, a shifted clock, fringes, a servo, slip."""
+"""The origin of a record by its loops: an echo, swapped columns, a shifted clock, fringes, a servo, slip."""
 
 from __future__ import annotations
 
@@ -219,7 +219,7 @@ def fringes(record: Record) -> str:
 
 
 def remarks(record: Record) -> Iterator[str]:
-    """Yield sentences on what the loops of a clean record tell of its origin."""
+    """Yield sentences on the origin of a clean record, by its loops."""
     turns = turns_of(record.voltage)
     if turns.size < 2 or record.stroke < LEAST_STROKE or fringes(record):
         return
@@ -246,7 +246,7 @@ def _no_hysteresis(record: Record, turns: NDArray[np.intp]) -> Iterator[str]:
         yield "No hysteresis is found: was a servo on?"
         return
     sizes, lag = np.abs(np.diff(v[turns])), -wide / gain
-    # Loops of one size do not tell a lag from hysteresis.
+    # Loops of one size do not distinguish a lag from hysteresis.
     if lag <= 0 or np.ptp(sizes) < _VARIES * sizes.max():
         return
     if _parabola(record, np.interp(time - lag, time, v), slice(None))[0] < least + _ROUND * width:

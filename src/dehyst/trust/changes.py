@@ -9,8 +9,8 @@ Its covariance falls with the distance in voltage and in h, and its size grows w
 ages exactly as the columns say. Constants were chosen on aged stages by other mechanisms: `benchmarks/ageing.py`.
 
 The fewest changes are named that leave the others insignificant together. If several sets are as small, their common
-changes are sure, and the rest are one change that the record cannot tell apart. What the named changes leave beyond the
-promise is stated as a change of shape.
+changes are sure, and the rest are one change, as the record cannot separate them. What the named changes leave beyond
+the promise is stated as a change of shape.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Change:
         "gain" (of the displacement relative to 0 V), "width" (of the loop, in addition to the gain), "zero" (of the
         displacement at 0 V, at the beginning of the record), "lag", "creep" (logarithmic in time), "drift" (linear in
         time) or "shape" (what the changes that count leave). Names joined by " and ": changes that the record cannot
-        tell apart; value and error are those of their common effect [m].
+        separate; value and error are those of their common effect [m].
     value, error : float
         The change and its standard error: parts of 1 for gain and width, [m] for the zero, [s] for the lag,
         [m a decade of time] for creep, [m over the record] for a drift. For the shape: the RMS error left, and a third
@@ -81,7 +81,7 @@ class Change:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """What may have changed: one name, or several that the record cannot tell apart."""
+        """What may have changed: one name, or several that the record cannot separate."""
         return tuple(self.name.split(_AND))
 
     def sentence(self, stroke: float, to_record: str = "") -> str:
@@ -91,7 +91,7 @@ class Change:
         """
         if len(self.parts) > 1:
             words = _AND.join(self.parts)
-            text = f"The loop has changed by {self.amount(stroke)}; this record cannot tell {words} apart."
+            text = f"The loop has changed by {self.amount(stroke)}; this record cannot separate {words}."
             return f"{text} Record the loops of `{to_record}`, which separate them." if to_record else text
         direction = _WORDS[self.name][0 if self.value > 0 else 1]
         effect = lines.percent(abs(self.effect), stroke)
@@ -252,13 +252,13 @@ class _ChangeFit:
             smallest = smallest or enough
             if sets := [names for names in enough if not count or self.only(names).shape().value <= most]:
                 break
-        # If either of two changes makes all others insignificant, the record cannot tell them apart.
+        # If either of two changes makes all others insignificant, the record cannot separate them.
         pairs = [a ^ b for a, b in combinations(smallest, 2) if len(a ^ b) == 2]
         sets += [names ^ pair for names in sets for pair in pairs if len(names & pair) == 1]
         return set.intersection(*sets), set.union(*sets)
 
     def change(self, parts: list[str]) -> Change:
-        """Return a change, or the common effect of several that the record cannot tell apart."""
+        """Return a change, or the common effect of several that the record cannot separate."""
         places, row, most = [self.names.index(part) for part in parts], np.ones(1), 1.0
         away, alone = self.values[places], len(parts) == 1
         if alone:

@@ -213,8 +213,8 @@ def compare(
     held_out = [Played(prepare(record)) for record in given]
     if not given:
         training, held_out = _kept_apart(training)
-    fits, told = contenders() if models is None else models, progress or (lambda _: None)
-    rows, stroke = scored(training, held_out, fits, told)
+    fits, report = contenders() if models is None else models, progress or (lambda _: None)
+    rows, stroke = scored(training, held_out, fits, report)
     judged = tuple(part.item.name for part in held_out)
     return ModelComparison(rows, stroke, tuple(record.name for record in training), judged, apart=not given)
 
