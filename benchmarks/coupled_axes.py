@@ -116,7 +116,7 @@ def measure(kinds, seed):
         "left_out": [error.left_out / (error.samples + error.left_out) for error in held_out],
         "single_axis_largest_percent": single,
         "uncoupled_largest_percent": floor,
-        "condition": fit.condition,
+        "condition": fit.stage.condition,
         "seconds": seconds,
     }
 

@@ -78,11 +78,6 @@ class StageFit:
         return tuple(error for fit in self.fits for error in fit.errors)
 
     @property
-    def condition(self) -> float:
-        """Condition number of the coupling matrix."""
-        return float(np.linalg.cond(self.coupling))
-
-    @property
     def good(self) -> bool:
         """Whether the model may be used: every axis is usable, and moves most by its own voltage."""
         return not self.exchanged and all(fit.good for fit in self.fits)
@@ -120,7 +115,7 @@ class StageFit:
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the traces."""
-        keys = "verdict good axes coupling uncertainty condition"
+        keys = "verdict good axes coupling uncertainty condition=stage.condition"
         return json_values(self, keys) | {"fits": by_axis(self.axes, self.fits)}
 
     def _brief(self) -> Iterator[str]:
@@ -135,7 +130,7 @@ class StageFit:
         yield from (self.verdict, "")
         yield "Coupling: displacement of each axis (row) for each metre that an actuator (column) moves"
         yield from matrix_lines(self.axes, self.coupling, self.uncertainty)
-        yield f"Condition {self.condition:.4g}."
+        yield f"Condition {self.stage.condition:.4g}."
         for axis, fit in zip(self.axes, self.fits, strict=True):
             yield from ("", f"Axis {axis}: {fit.summary(full=True)}")
 

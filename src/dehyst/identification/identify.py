@@ -106,8 +106,7 @@ def identify(
             return events.identified(as_list(training), as_list(held_out), fit)
 
     if training[0].axes:
-        fit: Any = identify_axes(training, held_out, alone, report)
-        return cast("Fit", fit)
+        return cast("Fit", identify_axes(training, held_out, alone, report))
     return alone(training, held_out, report)
 
 
@@ -143,6 +142,7 @@ class _Run:
         motion = replace(Motion.none(len(self.training)), delay=self.settings.delay or 0.0)
         items = [item.reduced for item in self.training]
         self.frame = Frame(items, motion, self.limits, self.widest, self.stroke)
+        self.noise = max(item.noise for item in self.items)
 
     def fit(self) -> Fit:
         """Identify an actuator, and judge it."""
@@ -156,7 +156,7 @@ class _Run:
             self.prepared(ringing=True)
             if search.fitted(self.frame, PLAIN, search.FEW).rms > still:
                 self.prepared(ringing=False)
-        demand_short(settings.delay or 0.0, "delay", min(item.cycle for item in (*self.training, *self.held_out)))
+        demand_short(settings.delay or 0.0, "delay", min(item.cycle for item in self.items))
         self.temperatures, self.left_out = temperatures_of(self.records)
         if (found := self.temperatures) is not None:
             motion = replace(self.frame.motion, reference=found.reference, lowest=self.frame.span[0])
@@ -173,6 +173,11 @@ class _Run:
             cause = "the search ended before it" if self.deadline.cut else "held-out time does not show its effect"
             self.left_out = f"{found.left_out}: {cause}"
         return self.finish(made)
+
+    @property
+    def items(self) -> list[Prepared]:
+        """All records, training first."""
+        return [*self.training, *self.held_out]
 
     def can_drift(self) -> bool:
         """Whether all training records may drift."""
@@ -210,7 +215,7 @@ class _Run:
 
     def _static(self, names: tuple[str, ...], *, plain: bool) -> Fitted:
         """Solve the program of the structure, chosen by held-out time."""
-        given = self.settings.structure
+        given, self.determined = self.settings.structure, True
         structures: Sequence[Structure] = [PLAIN] if plain else [given] if isinstance(given, Structure) else search.WIDE
         if given == "auto":
             pieces = [path for _, _, path in self.frame.paths]
@@ -218,8 +223,6 @@ class _Run:
             self.determined = probe.determined == probe.of
             if not self.determined:
                 structures = search.OPEN
-        else:
-            self.determined = True
         step = partial(search.static, self.frame, structures, names, self.report)
         found = self.deadline.attempt(step, None, "the choice of a smoothing")
         if found is None:
@@ -267,7 +270,7 @@ class _Run:
         errors, traces, judged = [], [], []
         drifts = self.settings.drift and bool(np.any(drift))
         thermal = actuator.thermal
-        for q, measured in enumerate((*self.training, *self.held_out)):
+        for q, measured in enumerate(self.items):
             item = measured if thermal is None else measured.at_reference(thermal)
             trained = q < len(self.training)
             zero = float(self.frame.motion.zero[q]) if trained else 0.0 if self.settings.shared_zero else None
@@ -316,63 +319,65 @@ class _Run:
     def finish(self, made: Fitted) -> Fit:
         """Simulate all records whole, and judge the actuator."""
         self.report("simulating the records")
-        actuator = self.named(made.actuator, made.structure)
         self.frame = made.frame
-        records = (*self.training, *self.held_out)
+        actuator = self.named(made.actuator, made.structure)
         errors, traces, judged = self.simulated(actuator, made.frame.motion.drift)
-        trained = errors[: len(self.training)]
-        checked = residual_checks(traces, self.stroke)
-        outcome = self.outcome(errors)
+        outcome, checked = self.outcome(errors), residual_checks(traces, self.stroke)
+        remaining = tuple(map(remaining_error, traces))
         apart = [(error, alone) for error, alone in zip(errors, judged, strict=True) if alone is not error]
-        guessed = dict.fromkeys(sentence for item in records for sentence in guesses(item.record))
-        words = f"{made.structure.words}, which miss held-out time by {percent(made.held_out, self.stroke)}"
-        self.remarks[:0] = [" ".join(guessed)] if guessed else []
-        if self.temperatures is not None and made.frame.motion.thermal is not None:
-            self.remarks.insert(0, self._warms(made))
-        self.remarks[:0] = self.deadline.remarks(words) + messages.of_moved_zeros(trained)
-        self.remarks += messages.of_rare_voltages(self.training, self.limits)
-        sample, given = self.training[self.widest].record.sample_time, self.settings.delay is not None
-        delay = actuator.delay + actuator.lag
-        repaired = messages.repaired(errors, delay, sample, given=given, low_pass=actuator.lag)
-        remaining = tuple(remaining_error(trace) for trace in traces)
-        noise = max(item.noise for item in records)
         caveats, lag_open = self.caveats(actuator, made.held_out)
         caveats[:0] = [messages.of_offset(alone, error.offset) for error, alone in apart]
-        held_out = HeldOutErrors(
-            made.held_out,
-            search.disagreement(actuator, self.alternatives, made, self.frame),
-            max(item.noise for item in self.frame.training),
-            search.new_in_time(self.frame),
-        )
+        lag, hidden = actuator.delay + actuator.lag, made.frame.motion.hidden
+        known: dict[str, Any] = {"lag": lag, "lag_open": lag_open, "creep_open": hidden}
+        known |= {} if self.settings.delay is None else {"lag_error": 0.0}
         validated = outcome is not Outcome.INACCURATE and not apart
-        given_records = [item.record for item in records]
-        lags: dict[str, Any] = {"lag": delay, "lag_open": lag_open, **({"lag_error": 0.0} if given else {})}
-        lags["creep_open"] = made.frame.motion.hidden
-        validity = validity_of(given_records, judged, remaining, traces, held_out, noise, validated=validated, **lags)
-        expected = expectation(outcome, errors, checked, validity, noise, self.goal, caveats)
+        records, held_out = [item.record for item in self.items], self.held_out_errors(made, actuator)
+        validity = validity_of(records, judged, remaining, traces, held_out, self.noise, validated=validated, **known)
+        expected = expectation(outcome, errors, checked, validity, self.noise, self.goal, caveats)
+        trained = errors[: len(self.training)]
+        worst = max(error.largest for error in trained)
         actuator = with_identification(
-            actuator,
-            outcome=outcome,
-            largest_error=max(error.largest for error in trained),
-            goal=self.goal,
-            validity=validity,
+            actuator, outcome=outcome, largest_error=worst, goal=self.goal, validity=validity
         )
-        for item in self.held_out:
-            played = promised(actuator, item.record.voltage)
-            gaps = () if played is None else played.untested
-            self.remarks += [f"{item.name}: {gap.sentence}" for gap in gaps if gap.what == "voltages"]
-        options = {**self.provenance(made.structure), "delay_s": delay, "stroke_m": self.stroke}
-        options["cut"] = [*self.deadline.cut]
+        self.remark(made, actuator, trained)
+        used = {"delay_s": lag, "stroke_m": self.stroke, "cut": [*self.deadline.cut]}
         return Fit(
             actuator,
             outcome,
             expected,
             tuple(errors),
-            (*(sentence for item in records for sentence in item.sentences), *repaired),
+            self.repairs(actuator, errors),
             tuple(self.remarks),
             tuple(traces),
-            options=options,
+            options={**self.provenance(made.structure), **used},
             checks=checked,
             trials=tuple(self.trials),
             remaining=remaining,
         )
+
+    def held_out_errors(self, made: Fitted, actuator: Actuator) -> HeldOutErrors:
+        """Return what held-out parts of the training records show."""
+        disagreement = search.disagreement(actuator, self.alternatives, made, self.frame)
+        noise = max(item.noise for item in self.frame.training)
+        return HeldOutErrors(made.held_out, disagreement, noise, search.new_in_time(self.frame))
+
+    def remark(self, made: Fitted, actuator: Actuator, trained: Sequence[RecordErrors]) -> None:
+        """Add the remarks on a judged actuator, those that matter most first."""
+        words = f"{made.structure.words}, which miss held-out time by {percent(made.held_out, self.stroke)}"
+        first = self.deadline.remarks(words) + messages.of_moved_zeros(trained)
+        if self.temperatures is not None and made.frame.motion.thermal is not None:
+            first.append(self._warms(made))
+        guessed = [sentence for item in self.items for sentence in guesses(item.record)]
+        first += [" ".join(dict.fromkeys(guessed))] if guessed else []
+        self.remarks = first + self.remarks + messages.of_rare_voltages(self.training, self.limits)
+        for item in self.held_out:
+            played = promised(actuator, item.record.voltage)
+            gaps = () if played is None else played.untested
+            self.remarks += [f"{item.name}: {gap.sentence}" for gap in gaps if gap.what == "voltages"]
+
+    def repairs(self, actuator: Actuator, errors: Sequence[RecordErrors]) -> tuple[str, ...]:
+        """Return sentences on what was left out, shifted or removed."""
+        sample, given = self.training[self.widest].record.sample_time, self.settings.delay is not None
+        delay = actuator.delay + actuator.lag
+        moved = messages.repaired(errors, delay, sample, given=given, low_pass=actuator.lag)
+        return *(sentence for item in self.items for sentence in item.sentences), *moved

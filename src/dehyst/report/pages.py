@@ -65,7 +65,7 @@ def render(
         "<h1>Coupled axes</h1>",
         f"<p>{words(fit.verdict)}.</p>",
         sections.coupling(
-            fit.axes, fit.coupling, fit.uncertainty, f"with its standard error. Condition {fit.condition:.4g}."
+            fit.axes, fit.coupling, fit.uncertainty, f"with its standard error. Condition {fit.stage.condition:.4g}."
         ),
         sections.stage_errors(fit),
     ]

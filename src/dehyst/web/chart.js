@@ -189,14 +189,14 @@ export class Chart {
     pen.fillRect(0, (band[1] - y0) * ky, width, (band[0] - band[1]) * ky);
   }
 
-  // Horizontal lines; those with a name, such as limits, are dashed.
+  // Horizontal lines; those with a colour, such as limits, are dashed.
   levels(pen) {
     const { y0, ky, width } = this.frame();
     pen.textAlign = "right";
     for (const { value, name, colour = "ink" } of this.spec.levels ?? []) {
       const y = Math.round((value - y0) * ky) + 0.5;
-      pen.lineWidth = name ? 1.5 : 1;
-      pen.setLineDash(name ? [6, 4] : []);
+      pen.lineWidth = colour === "ink" ? 1 : 1.5;
+      pen.setLineDash(colour === "ink" ? [] : [6, 4]);
       this.rule(pen, 0, y, width, y, colour);
       pen.setLineDash([]);
       pen.textBaseline = y < 18 ? "top" : "bottom";
