@@ -42,20 +42,20 @@ class Actuator(Plotted, JsonFile, AbstractModel):
 
     With Maxwell-slip elements alone it is rate independent: ``v = sum_i kappa_i s_i + eta(y)``, where s_i is the
     elongation of element i and eta the parallel spring. With all parts (theory section 8), ``tau(v) = sum_i [psi_i(y) -
-    psi_i(b_i)] + eta(y) + sum_l k_l q_l``, with b_i the position of cart i and q_l the elongation of smooth element
-    l. With dynamics or a load (section 9), w replaces y in this
-    equation. Creep in displacement (section 19) is applied after it: y is then the displacement before this creep.
+    psi_i(b_i)] + eta(y) + sum_l k_l q_l``, with b_i the position of cart i and q_l the elongation of smooth element l.
+    With dynamics or a load (section 9), w replaces y in this equation. With creep in displacement (section 19), y in
+    this equation is the displacement before creep.
 
     Parameters
     ----------
     slip, spring : MaxwellSlip or GradedSlip, Spring
         The hysteresis and the curve without memory.
     state : State, optional
-        Default initial state of simulations and compensations; if it is not given: the upper turning point of a major
-        loop at the spring's last knot, every cart trailing by its breakaway elongation (Remark 5).
+        Default initial state of simulations and compensations. Without it, this state is the upper turning point of a
+        major loop at the spring's last knot: every cart trails by its breakaway elongation (Remark 5).
     limits : (float, float), optional
-        Least and largest voltage [V] of the actuator, which its records went to; default: no limits. Wider ones are
-        given where a voltage is planned, as in `dehyst.plan_path`.
+        Least and largest voltage [V] of the records; default: no limits. Give wider limits where you plan a voltage,
+        as in `dehyst.plan_path`.
     delay : float, optional
         Time [s] by which the measured displacement lagged the voltage. Used in comparisons with measurements only.
     name : str, optional
@@ -66,7 +66,7 @@ class Actuator(Plotted, JsonFile, AbstractModel):
     transformer : Transformer, optional
         The curve tau(v); default: tau(v) = v.
     dynamics : Dynamics, optional
-        Inertia and damping; they need `time` too.
+        Inertia and damping: with them `simulate` and `compensate` need `time`.
     lag : float, optional
         Time constant [s] of the amplifier: the acting voltage v follows the command, ``command = v + lag v'``.
     load_stiffness : float, optional
@@ -82,9 +82,9 @@ class Actuator(Plotted, JsonFile, AbstractModel):
     Raises
     ------
     ModelError
-        If the state does not fit the elements, the limits are no interval or reach beyond the voltages of the records
-        by over 2 % of their range, graded elements leave a branch on which the voltage does not rise with the
-        displacement, or a number is too large to compute with (magnitude over 1e30).
+        If the state does not fit the elements, the limits are not an interval or exceed the voltages of the records by
+        over 2 % of their range, the voltage does not rise with the displacement on a branch of the graded elements, or
+        a number is too large to compute with (magnitude over 1e30).
     """
 
     _head = MappingProxyType({"format": "dehyst-actuator", "version": VERSION})
@@ -116,7 +116,7 @@ class Actuator(Plotted, JsonFile, AbstractModel):
         if self.state is None:
             keep(self, state=turned(self, states.knots_of(self)[1]))
         self._start(self.state)
-        _ = self._evaluator.core  # refuses what a part alone cannot check
+        _ = self._evaluator.core  # checks whether the parts fit each other
         states.demand_recorded(self)
 
     def __repr__(self) -> str:
@@ -147,7 +147,7 @@ class Actuator(Plotted, JsonFile, AbstractModel):
 
     @cached_property
     def _before_creep(self) -> Actuator:
-        """The actuator without creep in displacement: its displacement is the one before that creep."""
+        """The actuator without creep in displacement; it returns the displacement before creep."""
         if self.displacement_creep is None:
             return self
         return replace(self, displacement_creep=None, state=replace(self.state, displacement_creep=EMPTY))
@@ -247,7 +247,7 @@ class Actuator(Plotted, JsonFile, AbstractModel):
         time, load, temperature, state, stack
             As in `simulate`; with creep the path is straight between samples.
         velocity, acceleration : (n,) array_like, optional
-            Of the path [m/s, m/s^2], used with dynamics; default: those of its cubic spline.
+            Derivatives of the path [m/s, m/s^2], used with dynamics; default: derivatives of its cubic spline.
         extrapolate : bool, optional
             Also compute voltages for displacements that lie more than one stroke outside of `reach` and the spring.
             Such displacements are usually micrometres given instead of metres.
@@ -275,8 +275,8 @@ class Actuator(Plotted, JsonFile, AbstractModel):
     def relaxed(self, voltage: float = 0.0, *, extrapolate: bool = False) -> State:
         """Return the state in which no element is strained and the spring alone holds `voltage` [V].
 
-        Raise `ModelError` if the voltage, but 0 V, lies outside of the limits by more than their width, unless
-        `extrapolate`.
+        Raise `ModelError` if the voltage lies outside of the limits by more than their width, is not 0 V, and
+        `extrapolate` is false.
         """
         v = number(voltage, "voltage")
         if v != 0 and not extrapolate:
@@ -290,19 +290,18 @@ class Actuator(Plotted, JsonFile, AbstractModel):
         v = self._evaluator.core.voltage(self._evaluator.core_state(start))
         demand_result(np.array([v]), "voltage of the state")
         rounding = _ROUNDING * min(np.ptp(self.spring.voltage), np.ptp(self.limits or self.spring.voltage))
-        return 0.0 if abs(v) < rounding else v  # What rounding leaves of 0 V.
+        return 0.0 if abs(v) < rounding else v  # 0 V with a rounding error.
 
     def displacement(self, state: State | None = None) -> float:
         """Return the displacement [m] of the actuator in a `state`, by default ``self.state``, without a load."""
         return self._evaluator.displacement(self._start(state))
 
     def margins(self, period: float, margin_db: float = 6.0, *, preview: bool = False) -> tuple[float, float]:
-        """Return the gain of a feedback around the compensator, and the bandwidth that it has.
+        """Return the largest safe gain of a feedback around the compensator, and the bandwidth of that feedback.
 
-        The gain is the largest that keeps the margin if the resonance lies up to 5 % lower or higher than identified,
-        and a reading comes up to half a period sooner or one later.
-        An actuator without an identified resonance gets 0.01, which a resonance of quality Q at f bears if Q / f is
-        below 300 `period`.
+        The gain keeps the margin if the resonance lies up to 5 % lower or higher than identified, and if a reading
+        comes up to half a period earlier or one period later than identified. Without an identified resonance the gain
+        is 0.01. A resonance of quality Q at f [Hz] is stable with this gain if Q / f is below 300 `period`.
 
         Parameters
         ----------
@@ -316,7 +315,7 @@ class Actuator(Plotted, JsonFile, AbstractModel):
         Returns
         -------
         gain : float
-            Share of the error that each reading takes away, 0 to 1.
+            Share of the error that each reading corrects, 0 to 1.
         bandwidth : float
             Frequency [Hz] below which disturbances are reduced by 3 dB or more.
 
@@ -334,7 +333,7 @@ class Actuator(Plotted, JsonFile, AbstractModel):
     ) -> str:
         """Return why a `displacement` (n,) [m] under a `load` (n,) [N] is implausible; empty if it is plausible.
 
-        A sample is implausible if it lies outside of all plausible ones and `others` by more than their width.
+        A sample is implausible if it exceeds the plausible range, joined with `others`, by more than its width.
         """
         ends, displacements = self._plausible.far_ends(displacement), self._plausible.joined(*others)
         if ends is None:
@@ -355,8 +354,8 @@ class Actuator(Plotted, JsonFile, AbstractModel):
 
 
 def evaluator_of(actuator: Actuator) -> Evaluator:
-    """Return the evaluator of all parts of an actuator, with their object of the C core as `core`.
+    """Return the evaluator of an actuator; its `core` is the object of the C core.
 
-    It is what loops, exports and planners use; a user calls the methods of the `Actuator`.
+    Loops, exports and planners use the evaluator; a user calls the methods of the `Actuator`.
     """
     return actuator._evaluator

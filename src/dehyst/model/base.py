@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from dehyst.model.entries import Numeric
 
 
-# Numbers of a state; those that are too large to compute with are refused where they are used.
+# A state may hold numbers of any size. A computation refuses a number that is too large for it.
 _ANY = Numbers(largest=inf), Numbers(1, largest=inf)
 _OF_MOTION = "displacement_m", "velocity_m_per_s"
 
 
 def _motion(value: Any, where: str) -> Array:
-    """Return displacement and velocity of a mass, or nothing; of a file with a key for each, or null."""
+    """Return displacement and velocity of a mass, from two numbers or the keys of a file; empty for None."""
     if isinstance(value, Mapping):
         demand_keys(value, {*_OF_MOTION}, where)
         value = [number(value[key], where) for key in _OF_MOTION]
@@ -39,7 +39,7 @@ def _motion(value: Any, where: str) -> Array:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class State(Entries):
-    """The memory of an actuator; its displacement is `Compensator.displacement` or `Actuator.displacement`.
+    """The memory of an actuator; `Actuator.displacement` returns the displacement in a state.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class State(Entries):
     smooth : (L,) array
         Elongation q_l of each smooth element [m]; empty: none is elongated.
     displacement_creep : (K,) array
-        Strain e_k of each branch of creep in displacement [m]; empty: all has crept.
+        Strain e_k of each branch of creep in displacement [m]; empty: creep is at rest.
     """
 
     _part = "state"

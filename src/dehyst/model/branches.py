@@ -1,4 +1,4 @@
-"""Branches of a voltage between its turning points, and what the records of a model do not test of those of a path."""
+"""Branches of a voltage between its turning points, and properties of a path that the records do not test."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from dehyst.waveforms import FASTER, STEEPEST
 if TYPE_CHECKING:
     from dehyst.model.promise import Validity
 
-# A voltage turns where it goes back by this part of the range; branches that differ by less than a quarter are one.
+# A voltage turns where it reverses by this part of the range. Branches count as equal up to a quarter of this part.
 BAND = 0.02
-# Cells of the plane of turning points on each side, and how many around a passed one are tested: 5 % of the range.
+# Cells on each side of the plane of turning points; a branch also tests this number of cells beside it (5 % of range).
 CELLS, _AROUND = 40, 2
 # A voltage rests where it moves at less than this part of the mean speed of its branch.
 _AT_REST = 0.1
-# Paces and holds count as tested up to this ratio, voltages within this part of the range, and a drift of the records
-# matters above this multiple of the RMS error that they show.
+# Tested are paces and holds up to this ratio, and voltages up to this part of the range beyond those of the records. A
+# drift of the records matters above this multiple of the RMS error of the records.
 ALIKE, _BEYOND, _DRIFTS = 1.5, 0.02, 2.0
-# The least range of voltages of an excitation that tests a rate, as a part of that of the records.
+# Least voltage range of an excitation that tests a rate, as a part of the voltage range of the records.
 _NARROWEST = 0.1
 
 
 def branches_of(voltage: Array, span: float) -> NDArray[np.intp]:
     """Return the first and last samples (k, 2) of each rise and fall of a voltage (n,) [V]; `span`: the range [V].
 
-    A first one that begins between the ends of the voltage does not count, as the voltage before is not known.
+    A first branch that begins inside the range of the voltage does not count: the voltage before it is not known.
     """
     at = np.array([0, *turning_points(voltage, BAND * span), len(voltage) - 1], dtype=np.intp)
     pairs = np.column_stack([at[:-1], at[1:]])
@@ -56,14 +56,14 @@ def paces_of(time: Array, voltage: Array, at: NDArray[np.intp]) -> Array:
     moved = np.append(0.0, np.cumsum(step * moving))
     seconds = np.maximum(moved[at[:, 1]] - moved[at[:, 0]], 1e-300)
     rate = 1 / seconds
-    # The turn of a last branch is not known: it counts as far as the branch before.
+    # The last branch has no turn at its end: its rate is reduced if it is shorter than the branch before.
     if len(at) > 1 and at[-1, 1] == len(voltage) - 1:
         rate[-1] *= min(height[-1] / height[-2], 1.0)
     return np.column_stack([height / seconds, rate])
 
 
 def hold_of(time: Array, voltage: Array, span: float) -> float:
-    """Return the longest time [s] that a voltage stays within a fiftieth of the `span`, which includes slow motion."""
+    """Return the longest time [s] for which a voltage stays within a fiftieth of the `span`, at rest or slow."""
     place = np.round(voltage / (BAND * span))
     begins = np.append(0, np.flatnonzero(np.diff(place)) + 1)
     return float(np.max(time[np.append(begins[1:] - 1, len(time) - 1)] - time[begins], initial=0.0))
@@ -72,8 +72,8 @@ def hold_of(time: Array, voltage: Array, span: float) -> float:
 def distances(path: Array, others: Array) -> Array:
     """Return the distance (k,) of each branch (k, 2) from the nearest of the `others` (m, 2) in the same direction.
 
-    The distance combines, by root of squares, the distance of the first turning points and the overrun beyond the other
-    branch's end. It is at most the branch's own height.
+    It is the root of the sum of two squares: the distance of the first turning points, and the overrun beyond the end
+    of the other branch. It is at most the height of the branch.
     """
     found = np.abs(path[:, 1] - path[:, 0])
     for sign in (1.0, -1.0):
@@ -89,22 +89,22 @@ def distances(path: Array, others: Array) -> Array:
 
 
 def tested_loops(branches: Array, edges: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the cells (n, n) of a plane that test a rise, and those that test a fall, from branches (k, 2) [V].
+    """Return the cells (n, n) in which branches (k, 2) [V] test a rise, and those in which they test a fall.
 
-    `edges` (n + 1,) [V]: of the cells. A row belongs to an upper voltage, a column to a lower one. A branch tests the
-    cells within two of where it begins, from there to two beyond where it ends.
+    `edges` (n + 1,) [V]: edges of the cells. A row belongs to an upper voltage, a column to a lower voltage. A branch
+    tests branches that begin within two cells of its beginning and end at most two cells beyond its end.
     """
     cells, rising, places = _cells(branches, edges), branches[:, 1] > branches[:, 0], np.arange(len(edges) - 1)
     low, high = np.sort(cells, axis=1).T[:, :, None]
     passed = (places >= low - _AROUND) & (places <= high + _AROUND)
     beside = np.abs(places - cells[:, :1]) <= _AROUND
-    # Below the diagonal there is nothing.
+    # In other cells the upper voltage would be below the lower one.
     above = np.tri(places.size, dtype=bool)
     return passed[rising].T @ beside[rising] & above, beside[~rising].T @ passed[~rising] & above
 
 
 def are_tested(path: Array, rising: NDArray[np.bool_], falling: NDArray[np.bool_], edges: Array) -> NDArray[np.bool_]:
-    """Return for each branch (k, 2) [V] whether its cell is tested; the others are as in `tested_loops`."""
+    """Return for each branch (k, 2) [V] of a path whether its cell is tested; see `tested_loops`."""
     lower, upper = _cells(np.sort(path, axis=1), edges).T
     return np.asarray(np.where(path[:, 1] > path[:, 0], rising[upper, lower], falling[upper, lower]))
 
@@ -119,7 +119,7 @@ class Untested:
     """A property of a path that the records do not test.
 
     `what`: "voltages", "turns", "speed", "rate", "drift", "hold" or "temperature". `sentence`: in words. `command`: the
-    `dehyst excite` command that tests it; empty for a drift, and for a temperature, at which that of the records does.
+    `dehyst excite` command that tests it; empty for a drift or a temperature, which need no other excitation.
     """
 
     what: str
@@ -133,7 +133,7 @@ class Untested:
 
 def excite_command(highest: float, lowest: float, option: str = "", kind: str = "recommended") -> str:
     """Return the command that writes an excitation between two voltages [V], by default the one that tests any path."""
-    # Rounded inwards: the stage may not allow more.
+    # The voltages are rounded inwards, as the stage may not allow more.
     step = 10.0 ** (np.floor(np.log10(highest - lowest)) - 3)
     top, base = step * np.floor(highest / step + 1e-6), step * np.ceil(lowest / step - 1e-6)
     base = base if abs(base) > 1e-3 * top else 0.0
@@ -145,7 +145,7 @@ def excite_command(highest: float, lowest: float, option: str = "", kind: str = 
 def untested_by(
     validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp], waits: float
 ) -> Iterator[Untested]:
-    """Yield what the records do not test of a path."""
+    """Yield the properties of a path that the records do not test."""
     low, high = validity.limits
     over = max(low - float(voltage.min()), float(voltage.max()) - high)
     if over > _BEYOND * validity.span:
@@ -154,7 +154,7 @@ def untested_by(
         yield Untested("voltages", words, excite_command(*ends))
     path, edges = voltage[at], np.linspace(low, high, CELLS + 1)
     outside = int(np.count_nonzero(~are_tested(path, *tested_loops(validity.branches, edges), edges)))
-    # Random turns are a test of those between them.
+    # Records with random turning points also test the turning points between these.
     if outside and not validity.turns_anywhere:
         words = f"{outside} of {len(path)} branches begin where no record turned."
         yield Untested("turns", words, excite_command(high, low))
@@ -168,11 +168,11 @@ def untested_by(
             ratio = f"{digits(found / known)} times the {which} of the records"
             words = f"Its {which} branch takes {found:.3g} V/s on average, {ratio}."
             yield Untested("speed", words, _paced(high, low, found, FASTER if which == "fastest" else 1.0))
-    # The excitation for a new speed has the rates of branches over the whole range.
+    # The excitation for a higher speed also tests the rate of branches over the whole range at this speed.
     often = ALIKE * max(validity.rates[1], speed.max(initial=0.0) / validity.span)
     if fastest and rate.max(initial=0.0) > often:
         words = f"It turns {rate.max():.3g} times a second at its fastest, the records {validity.rates[1]:.3g} times."
-        # Within the voltages of the branches that have the rate, an excitation is as fast as they are.
+        # An excitation over the voltages of these branches needs the same speed for the same rate.
         own = path[rate > often]
         half = 0.5 * max(float(np.ptp(own)), _NARROWEST * validity.span)
         middle = float(np.clip(0.5 * (own.max() + own.min()), low + half, max(high - half, low + half)))
@@ -189,7 +189,7 @@ def untested_by(
 
 
 def not_recorded(validity: Validity) -> Iterator[Untested]:
-    """Yield what paths often have and the records do not."""
+    """Yield properties that paths often have and the records do not test."""
     low, high = validity.limits
     if not validity.turns_anywhere:
         words = "The records do not turn at random: branches that begin elsewhere are tested little."
@@ -201,7 +201,7 @@ def not_recorded(validity: Validity) -> Iterator[Untested]:
 
 
 def _paced(high: float, low: float, speed: float, faster: float) -> str:
-    """Return the command of an excitation whose fastest branches, `faster` than the slowest, have a speed [V/s]."""
-    # The fastest turns are to be as fast as the path, and not faster.
+    """Return the command of an excitation with a `speed` [V/s], `faster` times that of its slowest branches."""
+    # The fastest branches have the speed of the path and not more.
     option = f"--frequency {digits(0.5 * speed / faster / (high - low))} --slew-rate {STEEPEST * speed:.3g} "
     return excite_command(high, low, option)

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 # Terms of Taylor's series at a norm of 1: 1/20! is below the last digit.
 _TERMS = 21
-# A resonance may be this part lower or higher than identified; where none is known, the gain of a feedback.
+# Relative error of an identified resonance; gain of a feedback without an identified resonance; largest gain.
 _ASTRAY, _UNKNOWN_GAIN, _LARGEST_GAIN = 0.05, 0.01, 0.5
-# Most durations of steps that are kept for the next motion.
+# Largest number of step durations for which the exponentials are cached.
 _FEW = 4096
-# Most radians in a step: after the squarings that these need, the exponential keeps four digits.
+# Largest angle of a step [rad]: after the squarings for this angle, the exponential still has four correct digits.
 _LONGEST = 2.0**40
 
 
@@ -59,14 +59,14 @@ class DisplacementCreep(Entries):
 
     @property
     def per_decade(self) -> float:
-        """Creep in a decade of time, as a part of the step."""
+        """Creep per decade of time, as a part of the step."""
         shown = self.time_constants[self.gains > 0]
         return float(self.gains.sum() / max(np.log10(shown.max() / shown.min()), 1.0)) if shown.size else 0.0
 
     def removed(self, time: ArrayLike, displacement: ArrayLike, start: Array | None = None) -> Array:
         """Return m (n,) [m] of a `displacement` (n,) [m] with `time` (n,) [s].
 
-        `start` (K,): strains at the first sample [m]; default 0, all has crept. Raise `ModelError` if time and
+        `start` (K,): strains at the first sample [m]; default 0, creep at rest. Raise `ModelError` if time and
         displacement do not fit.
         """
         y, strains = vector(displacement, "displacement"), np.zeros(len(self)) if start is None else start
@@ -76,7 +76,7 @@ class DisplacementCreep(Entries):
     def added(self, time: ArrayLike, displacement: ArrayLike, start: Array) -> tuple[Array, Array]:
         """Return y (n,) [m] of a `displacement` (n,) [m] before creep, and the strains (K,) [m] at its end.
 
-        At its first sample they are `start`. `time` (n,): [s]. Raise `ModelError` if time and displacement do not fit.
+        `time` (n,): [s]. `start` (K,): strains at the first sample [m]. Raise `ModelError` if the lengths do not fit.
         """
         m = vector(displacement, "displacement")
         return output_creep(m, self._pace(time, m.size), self.gains, float(m[0]), start)
@@ -84,7 +84,7 @@ class DisplacementCreep(Entries):
     def strains(self, time: ArrayLike, displacement: ArrayLike, start: Array | None = None) -> Array:
         """Return strains e_k (n, K) [m] along a `displacement` (n,) [m] before creep, with `time` (n,) [s].
 
-        They begin with `start` (K,), or 0.
+        `start` (K,): strains at the first sample [m]; default 0.
         """
         m = vector(displacement, "displacement")
         pace = self._pace(time, m.size)
@@ -125,7 +125,7 @@ class Thermal(Entries):
     def scale(self, temperature: ArrayLike, samples: int) -> tuple[Array, Array]:
         """Return gains and offsets [m] at one `temperature` [degC], or at one for each of `samples`.
 
-        Raise `ModelError` if there is another number of temperatures, or a gain is not positive.
+        Raise `ModelError` if the number of temperatures does not fit, or a gain is not positive.
         """
         each = np.ndim(temperature) > 0
         degrees = Numbers(int(each), least=COLDEST, most=HOTTEST, hint="give it in degC")
@@ -147,17 +147,17 @@ class Thermal(Entries):
         return gain, self.offset * kelvins
 
     def warmed(self, displacement: Array, temperature: ArrayLike) -> Array:
-        """Return the displacement at a `temperature` from the `displacement` (n,) [m] at the reference, as `scale`."""
+        """Return the displacement at a `temperature` from the `displacement` (n,) [m] at the reference; see `scale`."""
         gain, offset = self.scale(temperature, displacement.size)
         return np.asarray(offset + gain * displacement)
 
     def at_reference(self, displacement: Array, temperature: ArrayLike) -> Array:
-        """Return the displacement at the reference from the `displacement` (n,) [m] at a `temperature`, as `scale`."""
+        """Return the displacement at the reference from the `displacement` (n,) [m] at a `temperature`; see `scale`."""
         gain, offset = self.scale(temperature, displacement.size)
         return np.asarray((displacement - offset) / gain)
 
     def per_kelvin(self, stroke: float) -> float:
-        """Return the most by which a kelvin changes a displacement within a `stroke` [m]."""
+        """Return the largest change of displacement per kelvin [m/K] within a `stroke` [m]."""
         return abs(self.gain) * stroke + abs(self.offset)
 
 
@@ -194,8 +194,8 @@ class Dynamics(Entries):
     Parameters
     ----------
     frequency : float
-        omega/(2 pi) [Hz], the resonance at constant charge: omega = sqrt((km + ke)/m). Under a voltage the resonance is
-        lower, omega sqrt(K/(K + beta)), K the slope of voltage over w.
+        omega/(2 pi) [Hz], the resonance at constant charge: omega = sqrt((km + ke)/m). At constant voltage the
+        resonance is lower, omega sqrt(K/(K + beta)), with K the slope of the voltage over w.
     damping : float
         zeta, 0 or more.
     series : float, optional
@@ -230,12 +230,12 @@ class Dynamics(Entries):
         return (2 * self.damping * velocity + acceleration / self.omega) / self.omega
 
     def transitions(self, durations: Array, share: float) -> Array:
-        """Return transitions (R, 8) of (y, y'/omega) over `durations` (R,) [s]: phi by rows, two gains of q.
+        """Return transitions (R, 8) of (y, y'/omega) over `durations` (R,) [s].
 
         ``y'' + 2 zeta omega y' + omega^2 (1 - theta) y = omega^2 q``, ``q = w - theta y + F_ext/kc`` linear in time.
-        The gains refer to q before and after the step. All come from the exponential of the matrix whose states include
-        q and its slope. `share` is theta. Raise `ModelError` if a step has too many periods of the resonance: the
-        exponential then loses all digits.
+        A row holds phi by rows, then the gains of q before and after the step. They come from the exponential of the
+        matrix whose states include q and its slope. `share` is theta. Raise `ModelError` if a step has too many periods
+        of the resonance: the exponential then loses all digits.
         """
         radians = max(1.0, 2 * self.damping) * self.omega * float(durations.max(initial=0.0))
         if radians > _LONGEST:
@@ -258,7 +258,7 @@ class Dynamics(Entries):
 
 
 def mechanical_response(dynamics: Dynamics | None, delay: float, frequency: Array) -> Array:
-    """Return displacement over w (n,) at a `frequency` (n,) [Hz], with a `delay` [s]."""
+    """Return the frequency response (n,) from w to displacement at a `frequency` (n,) [Hz], with a `delay` [s]."""
     late = np.exp(-2j * np.pi * frequency * delay)
     if dynamics is None:
         return np.asarray(late)
@@ -267,7 +267,7 @@ def mechanical_response(dynamics: Dynamics | None, delay: float, frequency: Arra
 
 
 def feedback_margins(dynamics: Dynamics | None, period: float, margin: float, *, preview: bool) -> tuple[float, float]:
-    """Return gain and bandwidth [Hz] as `Actuator.margins`; `margin` is a factor."""
+    """Return gain and bandwidth [Hz], see `Actuator.margins`; `margin` is a ratio of gains, not in dB."""
     w = np.pi * np.geomspace(1e-5, 1, 20_000)
     z = np.exp(1j * w)
     gain = _UNKNOWN_GAIN
@@ -275,21 +275,21 @@ def feedback_margins(dynamics: Dynamics | None, period: float, margin: float, *,
         omega, damping = dynamics.omega * period, min(dynamics.damping, 0.999)
         root = np.sqrt(1 - damping**2)
 
-        def held(radians: float) -> Array:
-            """Displacement at the end of a step over the voltage held in it, for a resonance of `radians` a step."""
+        def response(radians: float) -> Array:
+            """Response to a voltage that is constant in each step, for a resonance of `radians` per step."""
             pole, weight = np.exp(radians * (1j * root - damping)), 1 - 1j * damping / root
             swings = weight / (1 - pole / z) + np.conj(weight) / (1 - np.conj(pole) / z)
             return np.asarray(z - 0.5 * (z - 1) * swings)
 
-        # The model takes the voltage as straight lines between samples; a preview inverts it by five points.
+        # The voltage of the model is linear between samples; a preview inverts the mass by differences of five points.
         pole = omega * (1j * root - damping)
         line = (z - 1) / pole**2 * (((z - 1) / (z - np.exp(pole))) - 1) - 1 / pole
         mirrored = (z - 1) / np.conj(pole) ** 2 * (((z - 1) / (z - np.exp(np.conj(pole)))) - 1) - 1 / np.conj(pole)
         first, second = 1j * (8 * np.sin(w) - np.sin(2 * w)) / 6, (32 * np.cos(w) - 2 * np.cos(2 * w) - 30) / 12
         ahead = 1 + (2 * damping * first + second / omega) / omega if preview else np.ones(w.size)
         meant = np.ones(w.size) if preview else omega**2 * (line - mirrored) / (pole - np.conj(pole))
-        near = [held(omega * shift) * ahead for shift in (1 - _ASTRAY, 1.0, 1 + _ASTRAY)]
-        # A reading comes up to half a step sooner or a step later than identified.
+        near = [response(omega * shift) * ahead for shift in (1 - _ASTRAY, 1.0, 1 + _ASTRAY)]
+        # A reading comes up to half a step earlier or one step later than identified.
         wrong = np.max([np.abs(h * np.exp(-1j * w * late) - meant) for h in near for late in (-0.5, 0, 1)], axis=0)
         # At the limit |gain / (z - 1 + gain)| times wrong is 1 / margin.
         over, step = (margin * wrong) ** 2 - 1, np.abs(z - 1) ** 2
@@ -303,7 +303,7 @@ def feedback_margins(dynamics: Dynamics | None, period: float, margin: float, *,
 def _exponentials(numbers: bytes) -> Array:
     """Return the exponentials of matrices (R, 4, 4), by scaling and squaring with Taylor's series."""
     matrices = np.frombuffer(numbers).reshape(-1, 4, 4)
-    # An unnecessary halving costs one bit.
+    # Each matrix is halved only as often as it needs: every halving costs one bit of precision.
     size = np.abs(matrices).sum(axis=2).max(axis=1, initial=0.0)
     halvings = np.ceil(np.log2(np.maximum(size, 1.0))).astype(np.int64)
     result = np.empty_like(matrices)

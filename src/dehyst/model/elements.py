@@ -135,7 +135,7 @@ class GradedSlip(Entries):
 
 
 class Curve(Entries):
-    """A rising curve, piecewise linear through knots and continued linearly: its second entry over its first."""
+    """A rising curve, the second entry over the first: piecewise linear through knots, and continued linearly."""
 
     def _demand_together(self) -> None:
         """Raise `ModelError` unless there are at least two knots, each with one value."""
@@ -213,14 +213,14 @@ class SmoothSlip(Entries):
     ``dq = dy (1 - |q / length| (closing sgn(q dy) + 1 - closing))`` and tends to the length on a long motion. With
     closing 1 it is P. R. Dahl's element ("A solid friction model", Aerospace Corp. TOR-0158(3107-18)-1, 1968); with 1/2
     it returns on a straight line. Y.-K. Wen's model (J. Eng. Mech. Div. ASCE 102(2), 1976, 249-263) covers both. Unlike
-    Maxwell-slip elements they do not return to the point at which an inner loop began.
+    Maxwell-slip elements, these elements do not return to the point at which an inner loop began.
 
     Parameters
     ----------
     length : (L,) array_like
         Largest elongations [m], positive.
     closing : (L,) array_like
-        1/2 to 1.
+        Shape of the loop, 1/2 to 1.
     stiffness : (L,) array_like
         k_l [V/m] at elongation 0, not negative.
 

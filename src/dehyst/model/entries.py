@@ -1,7 +1,7 @@
-"""What a model is made of: one description of each entry checks its value, and is its key in a model file.
+"""Entries of a model: one description of each entry gives the check of its value and its key in a model file.
 
 A part, a state or an actuator is a dataclass whose fields are made by `entry`. Its constructor and its file go through
-the same checks; a file is read strictly, and comes back without loss.
+the same checks. A file is read strictly; saving and loading lose nothing.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from dehyst._views.fields import json_value
 from dehyst._views.lines import brief
 
 _OTHER_VERSION = "identify the records again, or read the file with the dehyst that wrote it"
-# Returns the value of an entry that is kept, from a value of Python or of a file, and its name in messages.
+# A reader takes a value of Python or of a file, and its name in messages; it returns the checked value of the entry.
 Reader = Callable[[Any, str], Any]
 if TYPE_CHECKING:
 
     class Numeric:
-        """Type of an array of an object: the constructor takes numbers of any form."""
+        """Type of an entry that holds an array; the constructor accepts any `ArrayLike`."""
 
         def __get__(self, owner: Any, kind: Any = None) -> Array: ...
         def __set__(self, owner: Any, value: ArrayLike) -> None: ...
 
 
 def entry(key: str, read: Reader, default: Any = MISSING, factory: Any = MISSING) -> Any:
-    """Return a dataclass field: its `key` in a file, with the unit, and what checks its value."""
+    """Return a dataclass field with its `key` in a file, which includes the unit, and the reader of its value."""
     given = {"default": default} if factory is MISSING else {"default_factory": factory}
     return field(**given, metadata={"key": key, "read": read})
 
 
 def instance(*kinds: type, optional: bool = False, need: str = "") -> Reader:
-    """Return a reader of an object of one of the `kinds`, or of the JSON values of one with the same keys.
+    """Return a reader that accepts an object of one of the `kinds`, or the JSON values of such an object.
 
     `optional`: None is allowed. `need`: the kinds in words, by default their names.
     """
@@ -65,7 +65,7 @@ class Entries:
     """An object that is made of entries.
 
     `_part`: its name in an actuator, in a model file and in messages. `_head`: format and version of its file, if it
-    has one. `_order`: names of the entries in the order of the file, if it is another than that of the fields.
+    has one. `_order`: names of the entries in the order of the file, if this differs from the order of the fields.
     """
 
     _part: ClassVar[str] = ""
@@ -113,7 +113,7 @@ class Entries:
         made = cls(**{name: data[key] for key, name in cls._keys().items()})
         for key, value in made.as_dict().items():
             if not _same(data[key], value):
-                need = "the value as it is written: a number is no flag, and nothing is left to a default"
+                need = "the value as `save` writes it: no number for true or false, no entry left to a default"
                 raise ModelError(argument=f"{where}.{key}", got=f"{data[key]!r:.60}", need=need)
         for entry in _described(cls):
             key, read = entry.metadata["key"], entry.metadata["read"]
@@ -135,7 +135,7 @@ def _demand_plausible(read: Numbers, found: Any, where: str) -> None:
 
 
 def _same(given: Any, written: Any) -> bool:
-    """Return whether two JSON values are equal, apart from whole numbers written as such; 1 is not true."""
+    """Return whether two JSON values are equal; 1 equals 1.0, but not true."""
     if isinstance(given, list) and isinstance(written, list):
         return len(given) == len(written) and all(map(_same, given, written))
     return bool(given == written) and isinstance(given, bool) == isinstance(written, bool)

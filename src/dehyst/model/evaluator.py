@@ -18,7 +18,7 @@ from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal, clock, l
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
 from dehyst.model.temperatures import demand_thermal
 
-# Relative rounding error of a slope that is the difference of two, and of the numbers of a state.
+# Relative rounding error of the difference of two slopes, and of the numbers of a state.
 _ROUNDING = 1e-9
 # Coefficients of one run of steps of an actuator that does not depend on time.
 _NO_COEFFICIENTS = (np.empty((1, 0)),) * 3
@@ -103,9 +103,9 @@ class Evaluator:
     def compensate(
         self, displacement: Array, path: PathData, start: State, stack: bool, since: float = 0.0
     ) -> tuple[Array, State]:
-        """Return the voltage (n,) [V] and the state reached; `start` is complete, `since` [s] before the first sample.
+        """Return the voltage (n,) [V] and the state reached.
 
-        By default it is the state at the first sample.
+        `start`: complete state, `since` seconds before the first sample; by default at the first sample.
         """
         steps, push = self._steps(path.time, displacement.size, since), self._push(path.load, displacement.size)
         y = displacement
@@ -145,7 +145,7 @@ class Evaluator:
         part = self.displacement_creep
         if part is None:
             return path, EMPTY
-        # With a load the state is that at the first sample, if the path continues.
+        # The state holds no load: it takes the load of the first sample, where a continued path begins.
         before = float(start.motion[0]) if self.dynamics else start.deformation + float(push[:1].sum())
         return output_creep(path, steps, part.gains, before, start.displacement_creep, inverse=inverse)
 
@@ -191,7 +191,7 @@ class Evaluator:
         return State(core.w, core.carts, core.motion * np.array([1.0, self.dynamics.omega]), smooth, behind)
 
     def complete_state(self, start: State) -> State:
-        """Return the state with missing strains, elongations and motion at rest, and with rounding removed.
+        """Return the state without rounding errors; missing strains, elongations and motion are set to rest.
 
         Raise `ModelError` if the state does not fit the parts.
         """
@@ -259,7 +259,7 @@ class Evaluator:
         return steps
 
     def amplifier(self, period: float) -> tuple[float, float, float, float]:
-        """Return the lag in periods [s]; then keep, from_old and from_new of a voltage straight between samples."""
+        """Return lag / `period`, keep, from_old and from_new of the low-pass, for a voltage linear between samples."""
         if not self.lag:
             return 0.0, 0.0, 0.0, 1.0
         steps = period / self.lag
@@ -275,7 +275,7 @@ class Evaluator:
             worst = durations[int(np.argmin(slope))]
             raise ModelError(
                 f"time: a step of {worst:.3g} s is too long for a resonance at {dynamics.frequency:.3g} Hz and a "
-                f"spring this uneven; give {0.1 / dynamics.frequency:.2g} s or less"
+                f"spring with such different slopes; give {0.1 / dynamics.frequency:.2g} s or less"
             )
 
     def _push(self, load: ArrayLike | None, samples: int) -> Array:
@@ -320,16 +320,16 @@ class Evaluator:
 
 
 def _within(values: Array, centre: float, most: Array, size: Array, what: str) -> Array:
-    """Return values of a state at most `most` away from a centre, without what rounding, a part of `size`, adds.
+    """Return values of a state, clipped to the distance `most` from a centre.
 
-    Raise `ModelError` if one lies farther away.
+    Raise `ModelError` if a value lies farther away by more than a rounding error, which is a part of `size`.
     """
     excess = np.abs(values - centre) - most
     if not np.any(excess > 0):
         return values
     if np.any(excess > _ROUNDING * size):
         worst = int(np.argmax(excess))
-        got = f"number {worst} {most[worst] + excess[worst]:.3g} m away from {centre:.3g} m"
+        got = f"number {worst} at {most[worst] + excess[worst]:.3g} m from {centre:.3g} m"
         raise ModelError(argument=f"state {what}", got=got, need=f"{most[worst]:.3g} m or less for its element")
     return np.clip(values, centre - most, centre + most)
 
@@ -351,8 +351,8 @@ def _spline_derivative(displacement: Array, path: PathData, order: int) -> Array
 def least_slope(slip: MaxwellSlip | GradedSlip, spring: Spring) -> float:
     """Return the least slope [V/m] of any branch in any state.
 
-    Raise `ModelError` if graded elements leave a branch that does not rise. Only the outermost two branches can fail:
-    on any other branch some carts stand still, which adds to the slope.
+    Raise `ModelError` if the voltage does not rise on a branch of graded elements. Only the outermost two branches can
+    fail: on any other branch some carts stand still, which adds to the slope.
     """
     if isinstance(slip, MaxwellSlip) or not len(slip):
         return float(spring.slopes.min())

@@ -47,12 +47,12 @@ def _outcome(value: object, where: str) -> Outcome | None:
 
 @dataclass(frozen=True)
 class Identification(Entries):
-    """How an actuator was identified, and its errors then, None if not known; later judgements depend on it.
+    """How an actuator was identified, and the errors then; an error that is not known is None.
 
     Attributes
     ----------
     lag_of : str
-        Whose the lag of the records is, as in `dehyst.identify`; empty if not known.
+        Source of the lag in the records, as in `dehyst.identify`; empty if not known.
     shared_zero : bool
         Whether the sensor kept its zero from record to record.
     drift : bool
@@ -60,7 +60,7 @@ class Identification(Entries):
     sensor_lag : float
         First-order lag of the sensor [s] that was removed from the records.
     lead : float
-        Time [s] by which the voltages of the records were moved earlier: half a sample of a converter that holds.
+        Time [s] by which the voltages of the records were moved earlier: half a sample for a converter that holds.
     ringing : bool
         Whether the elements follow the ringing displacement after steps of the voltage.
     outcome : Outcome or None
@@ -73,7 +73,7 @@ class Identification(Entries):
     validity : Validity or None
         What the records tested; it determines the promised error of a path.
     allowed_slew_rate, columns : float or None, str
-        Largest slew rate [V/s] of paths, and columns of the records as text of `Columns`: defaults of commands.
+        Defaults of commands: largest slew rate [V/s] of paths, and columns of the records as the text of `Columns`.
 
     Raises
     ------

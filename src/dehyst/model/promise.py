@@ -1,12 +1,11 @@
 """The promise: a bound of the error on a path, from what the records of an identification tested.
 
-A promise is a bound that nine of ten paths should keep (theory sections 18 and 29), for the error less its mean, as no
-record determines where the zero of the sensor will be later, and less a constant delay where the records leave open who
-lags. It is proportional to one length that the records show, a geometric mean of the error on held-out parts and of the
-distance of other models that explain the records. It grows with the distance of the path's branches from those of the
-records and with their pace, as the error on the records does, and depends on the kind of the path. Its numbers were
-found on virtual actuators whose mechanisms are not instances of the model, and are tested on others:
-`benchmarks/promise.py`.
+A promise is a bound that nine of ten paths should keep (theory sections 18 and 29). It bounds the error without its
+mean, as no record determines the later zero of the sensor. It also leaves out a constant delay, if the records do not
+show whether actuator or sensor lags. The bound is proportional to a geometric mean of two lengths: the error on
+held-out parts, and the distance of other models that explain the records. It grows with the distance of the path's
+branches from those of the records and with their pace, and depends on the kind of the path. Its constants were found on
+virtual actuators whose mechanisms are not instances of the model, and tested on others: `benchmarks/promise.py`.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ if TYPE_CHECKING:
     from dehyst.model.actuator import Actuator
     from dehyst.model.entries import Numeric
 
-# The start of a path in words; a known start of another name has its name.
+# Words for the start of a path; any other start is called by its name.
 _BEGINS = {
     "": "",
     "homed": " from a homed start",
@@ -54,39 +53,38 @@ _BEGINS = {
     "bottom": " from the bottom after a fall",
     "fitted": " from its fitted start",
 }
-# Branches that are kept of the records.
+# Largest number of branches of the records that a model keeps.
 _MOST = 600
-# Records whose promise any path like them is so new for, as a part of the range, do not turn at random.
+# Records turn at random if a path with random turning points is at most this new, as a part of the range.
 _NEW = 0.02
-# Turning points of a path of which nothing is known but its range.
+# Number of turning points of a path of which only the range is known.
 _TURNS = 60
-# The bound of the largest error, and that of the RMS error: what the records show, times these.
+# Bounds of the largest and the RMS error, as multiples of the error that the records show.
 LARGEST, RMS = 6.2, 2.2
-# Factors of the promised errors where the path closes loops and fewer branches of the records than this part do; and
-# where the records leave open who lags.
+# A path closes loops if at least this part of its branches do. Factors of the promised errors: the path closes loops,
+# but the records do not; the records do not show whether actuator or sensor lags.
 _CLOSING, _OPEN, _LAGGING = 0.2, 1.8, 1.6
-# Beside that of a slower creep: the largest offset of a path from a sensor zeroed at its start, of its largest error.
+# Largest offset of a path whose sensor is zeroed at its start, as a part of the largest error of the model; creep adds.
 _OFFSET = 0.5
-# Neither error that they show counts as smaller than this part of the stroke; and models that miss held-out parts do
-# not agree to less than this part of the held-out error.
+# Least error that the records can show, as a part of the stroke; least disagreement of models, as a part of the
+# held-out error.
 _LEAST, _AGREES = 1e-4, 0.3
-# The bound grows by this power of e with the newness of a path, a part of the range, up to a largest one.
+# The bound grows as exp(this times newness) up to a largest newness; newness is a part of the range.
 _GROWS, _NEWEST = 2.6, 0.3
-# A model with a larger error is not usable [% of the stroke].
+# Largest error of a usable model [% of the stroke].
 USELESS = 5.0
-# The bound grows by this power of the speed of the path by that of the records, if it is faster. So it does with the
-# rate of turns above this multiple of that of the records. Beside it is this part of the growth of the records' error
-# with the pace.
+# Power of the bound over the speed ratio of path to records; the ratio of turn rates above which it counts likewise;
+# part of the growth of the records' error with the pace that is added to the bound.
 _FASTER, _OFTENER, _GROWTH = 0.4, 3.0, 0.6
-# The largest speed by the mean one of a branch; the RMS error from a lag by the largest one; how far a delay and a
-# low-pass are apart behind a turn; the ages, by its time constant, of equal parts of what a low-pass follows.
+# Ratio of largest to mean speed of a branch; of RMS to largest error from a lag; of the largest difference of a delay
+# and a low-pass after a turn to the lag times the speed. Ages, in time constants, of equal parts of a low-pass's input.
 _PEAK, _LATE_RMS, _AT_A_TURN, _MEMORY = 1.9, 0.5, 2 * float(np.exp(-1.0)), -np.log1p(-(np.arange(16) + 0.5) / 16)
-# Powers of: the range of a path by the mean height of its branches; its range by that of the records; its longest
-# hold by that of the records, up to a largest ratio; and e, by the part of its time in which it rests.
+# Powers of the ratios: range of a path to mean height of its branches; range of path to records; longest hold of path
+# to records, up to a largest ratio. The last factor is exp(this times the part of the time at rest).
 _PLACES, _RANGE, _HOLD, _LONGEST, _RESTING = 0.35, 0.7, 0.07, 20.0, 0.35
-# Part of the creep in a decade by which a path is missed that lasts a decade longer than the records show creep.
+# Error of a path that lasts a decade longer than the records show creep, as a part of the creep per decade.
 _SLOWER = 0.3
-# Branches up to this quantile of the paces are slow; a lag of less than this part of a sample is not searched for.
+# Branches up to this quantile of the paces are slow; the search for a lag resolves this part of a sample.
 _MOST_OF_THEM, _UNSEEN = 0.25, 0.1
 # A path rests where its voltage moves at less than this part of its largest speed.
 _RESTS = 0.02
@@ -95,7 +93,7 @@ _ANY = replace(_PAIR, least=-np.inf, divides=False)
 
 
 def _pair(value: Any, where: str, numbers: Numbers = _PAIR) -> tuple[float, float] | None:
-    """Return two numbers; temperatures may be unknown."""
+    """Return two numbers; for temperatures also None."""
     if value is None and where.endswith("temperatures"):
         return None
     if len(found := numbers(value, where).tolist()) != 2:
@@ -104,7 +102,7 @@ def _pair(value: Any, where: str, numbers: Numbers = _PAIR) -> tuple[float, floa
 
 
 def _branches(value: Any, where: str) -> Array:
-    """Return pairs of voltages (k, 2), which may be none."""
+    """Return pairs of voltages (k, 2); k may be 0."""
     if isinstance(value, list | tuple | np.ndarray) and not len(value):
         return np.zeros((0, 2))
     found = Numbers(2, largest=1e9)(value, where)
@@ -122,17 +120,17 @@ class Validity(Entries):
     rms : float
         RMS error of held-out parts [m], without sensor noise.
     largest : float
-        Largest error of the records themselves after their second turning point [m], without sensor noise.
+        Largest error on the training records after their second turning point [m], without sensor noise.
     disagreement : float
-        RMS distance of other structures that explain the records about as well [m].
+        RMS distance of models with other structures that explain the records almost as well [m].
     stroke : float
         Range of the widest loop [m].
     limits : (float, float)
         Lowest and highest voltage of the records [V].
     branches : (k, 2) array
-        Voltages between which the records went [V].
+        First and last voltage of each branch of the records [V].
     new : (float, float)
-        RMS distance of held-out rises, and of held-out falls, from all others, as a part of the voltage range.
+        RMS distance of held-out rises, and of held-out falls, from the other branches, as a part of the voltage range.
     speeds : (float, float)
         Lowest and highest mean speed of a branch [V/s].
     rates : (float, float)
@@ -142,11 +140,11 @@ class Validity(Entries):
     hold, lasts : float
         Longest time at one voltage, and longest record [s].
     drift : float
-        Largest drift of a record [m] that was removed, which no error of these contains.
+        Largest drift [m] that was removed from a record; the errors above do not contain it.
     lag, lag_error : float
-        Time [s] by which the displacement lags the voltage, as estimated, and by how much that may be wrong.
+        Estimated time [s] by which the displacement lags the voltage, and its possible error [s].
     lag_open : bool
-        Whether the records leave open who lags, actuator or sensor.
+        True if the records do not show whether actuator or sensor lags.
     creep_open : float
         Creep in a decade, as a part of a step, that the records neither show nor exclude.
     temperatures : (float, float) or None
@@ -181,7 +179,7 @@ class Validity(Entries):
 
     @classmethod
     def by_records(cls, records: Iterable[tuple[Array, Array]], **numbers: Any) -> Validity:
-        """Return the validity from time (n,) [s] and voltage (n,) [V] of `records`; `numbers`: others by name."""
+        """Return the validity from time (n,) [s] and voltage (n,) [V] of `records`; `numbers`: other fields by name."""
         given = list(records)
         ends = [float(end) for _, voltage in given for end in (voltage.min(), voltage.max())]
         limits = min(ends), max(ends)
@@ -194,7 +192,7 @@ class Validity(Entries):
         every = np.concatenate(paces)
         kept = np.unique(np.round(np.concatenate(pairs) / (0.25 * BAND * span)), axis=0) * (0.25 * BAND * span)
         least, most = (every.min(axis=0), every.max(axis=0)) if len(every) else np.zeros((2, 2))
-        # As far as most branches have the pace of the fastest ones, a creep looks like a lag.
+        # Creep is confused with a lag unless most branches are much slower than the fastest ones.
         alike = float((np.quantile(every, _MOST_OF_THEM, axis=0) / most).max()) if len(every) else 1.0
         step = min((float(np.median(np.diff(time))) for time, _ in given if time.size > 1), default=0.0)
         numbers = {"lag_error": max(numbers.get("lag", 0.0), _UNSEEN * step) * alike} | numbers
@@ -209,14 +207,14 @@ class Validity(Entries):
 
     @property
     def shown(self) -> float:
-        """The error [m] that the records show, from the held-out error and twice as much from the disagreement."""
+        """The error [m] that the records show: a geometric mean of held-out error and squared disagreement."""
         both = self.rms, max(self.disagreement, _AGREES * self.rms)
         held_out, apart = (float(np.hypot(error, _LEAST * self.stroke)) for error in both)
         return float((held_out * apart**2) ** (1 / 3))
 
     @property
     def turns_anywhere(self) -> bool:
-        """Whether held-out branches differ from the others as those of any path do, as with random turning points."""
+        """Whether the records turn anywhere in their range, as with random turning points."""
         return newness(self, _anywhere(self))[2] <= _NEW
 
     @cached_property
@@ -234,9 +232,9 @@ class Promise:
     path : str
         The path, in words: any path like the records, or this path from its start.
     rms, largest : float
-        RMS and largest error of the path [m], without its mean error; that of clamped voltages is in them.
+        RMS and largest error of the path [m], without its mean error, with the error of clamped voltages.
     parts : mapping of str to float
-        What `largest` sums [m]: "model"; "temperature", "creep", "lag", "start", "missed", "voltages" if they count.
+        Terms of `largest` [m]: "model"; "temperature", "creep", "lag", "start", "missed", "voltages" if they are not 0.
     half : (n,) array
         The bound along the path [m]: wider on branches that are unlike those of the records.
     stroke : float
@@ -244,10 +242,10 @@ class Promise:
     offset : float
         Largest mean error [m] if the sensor is zeroed at the first sample; `rms` and `largest` leave it out.
     delay : float
-        Time [s] by which the path may be late, as the records leave open whether the sensor lags; else 0. The errors
+        Time [s] by which the path may be late, if the records do not show whether the sensor lags; else 0. The errors
         leave it out.
     untested : tuple of Untested
-        What the records do not test; for such a part the promise does not hold.
+        Properties of the path that the records do not test; for these the promise does not hold.
     """
 
     path: str
@@ -264,18 +262,18 @@ class Promise:
         return f"<Promise: {self.sentence}>"
 
     def missed_by(self, largest: float, rms: float) -> float:
-        """Return the larger ratio of a largest and an RMS error [m] to the promised ones; above 1 it is not kept."""
+        """Return the larger ratio of an error [m] to the promised error; above 1 the promise is not kept."""
         return max(largest / self.largest, rms / self.rms)
 
     @property
     def apart(self) -> str:
-        """What the errors leave out, in words."""
+        """The parts that the errors leave out, in words."""
         late = f" and a delay of up to {1e3 * self.delay:.3g} ms" if self.delay else ""
         return f"apart from a constant offset{' of the sensor' if 'missed' in self.parts else ''}{late}"
 
     @property
     def unusable(self) -> str:
-        """What to do if the model's own largest error, with its lag's, exceeds 5 % of the stroke, in words."""
+        """Advice if the largest error from model and lag exceeds 5 % of the stroke; else empty."""
         if self.parts["model"] + self.parts.get("lag", 0.0) <= 0.01 * USELESS * self.stroke:
             return ""
         advice = "The records test the path: identify each alone to find the cause, or follow a slower path."
@@ -291,7 +289,7 @@ class Promise:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The promise, and what is not tested, a sentence each."""
+        """The promise and each untested property, one sentence each."""
         return self.sentence, *(condition.sentence for condition in self.untested)
 
     def as_dict(self) -> dict[str, Any]:
@@ -314,15 +312,15 @@ def promise(
     opened: ArrayLike = (),
     missed: ArrayLike = (),
 ) -> Promise:
-    """Return the promised error of a path when its voltage is played: the one source of such a number.
+    """Return the promised error of a path when its voltage is played; every promised number comes from here.
 
     Parameters
     ----------
     validity : Validity
         Validity of the model that computed the voltage.
     voltage : (n,) array_like, optional
-        Voltage that follows the path [V]; default: any path like the records, which turns anywhere within their
-        voltages, at their speeds.
+        Voltage that follows the path [V]; default: any path like the records, with turning points anywhere within
+        their voltages, at their speeds.
     time : (n,) array_like, optional
         Time of the voltage [s]; without it, speeds and holds are assumed to be as in the records.
     thermal, creep : optional
@@ -334,9 +332,9 @@ def promise(
     begins : str
         Start of the path: "homed", "unknown", the name of a known start, or nothing.
     opened : (n,) array_like
-        Distance from the expected displacement [m], apart from a constant, that an unknown start leaves open.
+        Possible distance from the expected displacement [m] due to an unknown start, apart from a constant.
     missed : (n,) array_like
-        Error of the model itself [m], where the voltage was clamped.
+        Error that the model computes [m] where the voltage was clamped.
     """
     v, clock = (None if given is None else np.asarray(given, dtype=np.float64) for given in (voltage, time))
     v = _anywhere(validity) if v is None else v
@@ -354,12 +352,12 @@ def promise(
     half = np.repeat(each, np.diff([0, *at[1:, 0], v.size]))
     cost = TemperatureCost(thermal, validity.temperatures, validity.stroke, temperature)
     slow = _crept(validity, creep, v, clock)
-    # Half of a range bounds the standard deviation in it.
+    # Half of a range bounds the standard deviation of values in it.
     rms_, half = rms_ + 0.5 * (cost.largest + slow), half + cost.along + slow
     parts = {"model": largest} | {k: e for k, e in {"temperature": cost.largest, "creep": slow}.items() if e}
     if late:
         parts["lag"], rms_, half = late, float(np.hypot(rms_, _LATE_RMS * late)), half + late
-    # Nothing is known of voltages beyond those of the records: the whole way counts.
+    # Nothing is known beyond the voltages of the records: the whole displacement there counts as error.
     over = np.maximum(v - validity.limits[1], validity.limits[0] - v) / validity.span
     errors = {"start": np.asarray(opened), "missed": np.abs(missed), "voltages": validity.stroke * over * (over > BAND)}
     for name, error in errors.items():
@@ -377,9 +375,9 @@ def promise(
 def promised(
     actuator: Actuator, voltage: ArrayLike | None = None, time: ArrayLike | None = None, **options: Any
 ) -> Promise | None:
-    """Return the promised error of a path of an `actuator`; None if it does not hold what its records tested.
+    """Return the promised error of a path of an `actuator`; None if it has no `Validity`.
 
-    `options`: those of `promise`, but for the part of the model.
+    `options`: options of `promise`, except the parts of the model.
     """
     known = actuator.identification
     if known is None or known.validity is None:
@@ -389,9 +387,9 @@ def promised(
 
 
 def untested(actuator: Actuator, found: Promise | None, temperature: ArrayLike | None = None) -> tuple[str, ...]:
-    """Return sentences on what the records of an `actuator` do not test of a path, and whether it is usable for it.
+    """Return sentences: whether an `actuator` is usable for a path, and what its records do not test.
 
-    Without a promise they are those on its `temperature`.
+    Without a promise, only a sentence about the `temperature` is returned.
     """
     if found is not None:
         return *filter(None, [found.unusable]), *(condition.sentence for condition in found.untested)
@@ -400,15 +398,15 @@ def untested(actuator: Actuator, found: Promise | None, temperature: ArrayLike |
 
 
 def _anywhere(validity: Validity) -> Array:
-    """Return voltages that turn anywhere within those of the records."""
+    """Return voltages with random turning points within the range of the records."""
     return np.append(validity.limits, np.random.default_rng(1).uniform(*validity.limits, _TURNS))
 
 
 def newness(validity: Validity, voltage: Array) -> tuple[NDArray[np.intp], Array, float]:
     """Return the branches (k, 2) of a voltage (n,) [V], and the newness of each branch (k,) and of all.
 
-    Newness is the distance from the records' branches minus that of the held-out branches, as a part of the range. The
-    newness of all branches is the larger of two root mean squares, of rises and of falls.
+    Newness is the distance from the branches of the records, minus the distance of the held-out branches, as a part of
+    the range. The newness of all branches comes from two RMS distances, of rises and of falls; the larger one counts.
     """
     at = branches_of(voltage, validity.span) if voltage.size > 1 else np.zeros((0, 2), dtype=np.intp)
     path = voltage[at]
@@ -419,19 +417,19 @@ def newness(validity: Validity, voltage: Array) -> tuple[NDArray[np.intp], Array
 
 
 def _closing(branches: Array, span: float) -> float:
-    """Return the share of branches (k, 2) [V] that one from their end retraces to their beginning, or beyond."""
+    """Return the share of branches (k, 2) [V] that another branch retraces from their end to their beginning."""
     (begin, end), band = branches.T, BAND * span
     back = np.sign(end - begin)[:, None] * (end - begin[:, None]) <= band
     return float(np.mean((back & (np.abs(begin - end[:, None]) <= band)).any(axis=1))) if len(branches) else 0.0
 
 
 def _grown(new: Array | float) -> Array:
-    """Return how many times the bound is larger of branches with a newness (k,), a part of the range."""
+    """Return the factor of the bound for branches with a newness (k,), which is a part of the range."""
     return np.asarray(np.exp(_GROWS * np.clip(new, 0.0, _NEWEST)))
 
 
 def _kind(validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp]) -> float:
-    """Return the factor of the kind of a path: at how many places its branches (k, 2) are, and its holds."""
+    """Return the factor for the kind of a path: whether its branches (k, 2) close loops, their heights, its holds."""
     if not len(at):
         return 1.0
     opens = _closing(validity.branches, validity.span) < _CLOSING <= _closing(voltage[at], validity.span)
@@ -446,9 +444,10 @@ def _kind(validity: Validity, voltage: Array, time: Array | None, at: NDArray[np
 
 
 def _late(validity: Validity, speed: float, voltage: Array, time: Array) -> float:
-    """Return the largest error [m] of a path from a wrong lag, unless that is open, and from its form.
+    """Return the largest error [m] of a path from a wrong lag and from a wrong form of the lag.
 
-    The form counts by how far a delay and a low-pass of the same lag are apart, if farther than at a turn of records.
+    A lag whose source is open counts as right. The form may be a delay or a low-pass with the same lag: their
+    difference counts if it is larger than at a turn of the records.
     """
     lag, per_volt = validity.lag, validity.stroke / validity.span
     fastest = validity.speeds[1] * per_volt
@@ -461,7 +460,7 @@ def _late(validity: Validity, speed: float, voltage: Array, time: Array) -> floa
 
 
 def _crept(validity: Validity, creep: DisplacementCreep | None, voltage: Array, time: Array | None) -> float:
-    """Return the largest error [m] from creep that is slower than the records last, or than branches that hide it."""
+    """Return the largest error [m] from creep that is too slow for the records, or for their branches, to show."""
     lasts, slowest = validity.lasts if time is None else float(np.ptp(time)), validity.rates[0]
     rate, known = (creep.per_decade, validity.lasts) if creep else (validity.creep_open, slowest and 1 / slowest)
     decades = float(np.log10(max(lasts / known, 1.0))) if known else 0.0
@@ -469,7 +468,7 @@ def _crept(validity: Validity, creep: DisplacementCreep | None, voltage: Array, 
 
 
 def _paces(validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp]) -> list[float]:
-    """Return highest speed and rate of a path's branches (k, 2) by those of the records, their own without `time`."""
+    """Return the ratios of highest speed and rate of branches (k, 2) to those of the records; 1 without `time`."""
     highest = validity.speeds[1], validity.rates[1]
     if time is None or time.size < 2 or not len(at) or not all(highest):
         return [1.0, 1.0]

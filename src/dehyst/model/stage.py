@@ -22,7 +22,7 @@ from dehyst.model.entries import JsonFile, Numbers, entry, instance, mapping, te
 from dehyst.model.temperatures import demand_thermal, temperature_columns
 from dehyst.records import Record
 
-# A stage whose inverse multiplies errors by more cannot be driven.
+# Largest condition number of the coupling matrix of a usable stage.
 _WORST_CONDITION = 1e3
 FORMAT = "dehyst-stage"
 
@@ -33,7 +33,7 @@ def inverse(coupling: Array) -> Array:
 
 
 def apply(table: Array, columns: Array) -> Array:
-    """Return ``columns @ table.T`` (n, axes), summed from the first axis to the last; the identity changes no bit."""
+    """Return ``columns @ table.T`` (n, axes), summed from first to last axis; the identity matrix changes no bit."""
     result = np.empty_like(columns)
     for i, row in enumerate(table):
         total = row[0] * columns[:, 0]
@@ -242,11 +242,11 @@ class Stage(JsonFile):
         return motions
 
     def temperatures(self, temperature: ArrayLike | None, samples: int) -> list[Array | None]:
-        """Return the temperature (samples,) [degC] of each actuator; None of one without the part `thermal`.
+        """Return the temperature (samples,) [degC] of each actuator; None for an actuator without the part `thermal`.
 
-        `temperature`: as in `simulate`, at a number of `samples`; None: not known.
+        `temperature`: as in `simulate`, for a number of `samples`; None: not known.
 
-        Raise `ModelError` if it has another shape, or no actuator has that part.
+        Raise `ModelError` if it has another shape, or no actuator has the part `thermal`.
         """
         if temperature is None:
             return [None] * len(self.actuators)
@@ -255,7 +255,7 @@ class Stage(JsonFile):
         return [column if actuator.thermal else None for actuator, column in zip(self.actuators, table.T, strict=True)]
 
     def columns(self, values: ArrayLike, what: str) -> Array:
-        """Return `values` (n, axes) as an array; raise `ModelError` that names `what` if they are not."""
+        """Return `values` (n, axes) as an array; raise `ModelError` with the name `what` if the shape differs."""
         table = matrix(values, what)
         if table.shape[1] != len(self.actuators):
             raise ModelError(

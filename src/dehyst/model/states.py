@@ -1,4 +1,4 @@
-"""Ranges and states of an actuator: what is far outside of them, slow motions, and where a motion begins."""
+"""Ranges and states of an actuator: values far outside of a range, slow motions, and the start of a motion."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from dehyst.records import Record
 if TYPE_CHECKING:
     from dehyst.model.actuator import Actuator
 
-# Largest magnitude over that of the range from which on a displacement is more likely in another unit.
+# A displacement with more than this multiple of the largest magnitude of the range is probably in this unit.
 _UNITS = ((1e2, "millimetres"), (3e4, "micrometres"), (3e7, "nanometres"))
-# Voltages that are beyond those of the records by at most this part of their range count as recorded.
+# Voltages beyond those of the records by at most this part of their range count as recorded.
 _AS_RECORDED = 0.02
 ANYWAY = "or extrapolate to compute it anyway"
-# Duration of a step in creep's longest time constants: w moves evenly in it and leaves strains of one part in 1e9.
+# Duration of a step in longest time constants of creep: the strains at its end are 1e-9 of the step.
 _REST = 1e9
-# Smooth elements forget their start slowly.
+# Number of visits of the limits in slow loops: smooth elements forget their start slowly.
 _VISITS = 60
 _ROUNDING = 1e-12
-# Share of the limits' range: a state whose voltage lies less outside is at the limit, but for the model's error.
+# A state whose voltage exceeds the limits by less than this part of their range counts as at the limit: the model errs.
 NEAR = 0.01
 
 
 def demand_recorded(actuator: Actuator) -> None:
-    """Raise `ModelError` if the limits reach farther beyond the voltages of the records than these count as tested."""
+    """Raise `ModelError` if the limits exceed the voltages of the records by over 2 % of their range."""
     known = actuator.identification
     if actuator.limits is None or known is None or known.validity is None:
         return
@@ -80,7 +80,7 @@ def creep_times(actuator: Actuator) -> Array:
 
 
 def at_rest(actuator: Actuator) -> float:
-    """Return the ratio of the displacement after creep in displacement has come to rest to that without it."""
+    """Return the ratio of the displacement with creep at rest to the displacement without creep."""
     return 1.0 if actuator.displacement_creep is None else actuator.displacement_creep.at_rest
 
 
@@ -91,7 +91,7 @@ def knots_of(actuator: Actuator) -> tuple[float, float]:
 
 
 def quasistatic(actuator: Actuator) -> Actuator:
-    """Return an actuator without inertia and amplifier lag, which slow motions do not excite."""
+    """Return the actuator without inertia and amplifier lag, for slow motions."""
     return replace(actuator, dynamics=None, lag=0.0, state=replace(actuator.state, motion=EMPTY))
 
 
@@ -102,9 +102,9 @@ def major_loop(actuator: Actuator, limits: tuple[float, float]) -> tuple[float, 
 
 
 def at_reference(actuator: Actuator, record: Record) -> Record:
-    """Return a `record` of one axis as it would have been at the reference of `thermal`.
+    """Return a `record` of one axis, corrected to the reference temperature of `thermal`.
 
-    Without that part, or if the record has no temperature, it is returned as it is.
+    Without this part, or if the record has no temperature, the record is returned unchanged.
     """
     if actuator.thermal is None or record.temperature is None:
         return record
@@ -114,7 +114,7 @@ def at_reference(actuator: Actuator, record: Record) -> Record:
 def slow_motion(actuator: Actuator, voltage: Array, state: State | None = None) -> Motion:
     """Return the motion through voltages (n,) [V], with creep at rest at each, and without inertia and lag.
 
-    `state`: before the first voltage, without motion; default: the actuator's own.
+    `state`: state before the first voltage, without motion; default: the state of the actuator.
     """
     rest = _REST * float(creep_times(actuator).max(initial=0.0)) or 1.0
     time = np.arange(voltage.size) * rest
@@ -122,7 +122,7 @@ def slow_motion(actuator: Actuator, voltage: Array, state: State | None = None) 
 
 
 def displacement_error(got: tuple[float, float], displacements: Range) -> str:
-    """Return the error for displacements [m] far outside of the range of a model."""
+    """Return the message for displacements [m] far outside of the range of a model."""
     width = displacements.high - displacements.low
     ratio = max(map(abs, got)) / max(abs(displacements.low), abs(displacements.high), width)
     reaches = f"the model reaches {ends(1e6 * displacements.low, 1e6 * displacements.high, 'um')}"
@@ -136,7 +136,7 @@ def displacement_error(got: tuple[float, float], displacements: Range) -> str:
 
 
 def voltage_error(got: tuple[float, float], identified: Range) -> str:
-    """Return the error for voltages [V] far outside of those of the records of a model."""
+    """Return the message for voltages [V] far outside of the voltages of the records."""
     return (
         f"voltage: got {ends(*got, 'V')}, the records of the model have {ends(*identified, 'V')}; "
         "check the unit, and that the model is of this actuator"
@@ -144,7 +144,7 @@ def voltage_error(got: tuple[float, float], identified: Range) -> str:
 
 
 def stroke_of(actuator: Actuator) -> float:
-    """Return the full stroke [m]: the range of the widest loop of its records, or of `reach` if it is not known."""
+    """Return the full stroke [m]: the range of the widest loop of the records; without records, of `reach`."""
     known = actuator.identification
     return float(np.ptp(actuator.reach)) if known is None or known.validity is None else known.validity.stroke
 
@@ -157,8 +157,8 @@ def voltages_of(actuator: Actuator) -> Range:
 def turned(actuator: Actuator, displacement: float, *, rising: bool = True) -> State:
     """Return the state after a long motion that ends at a `displacement` [m]: every cart has slid (Assumption II).
 
-    Every smooth element has yielded fully. Creep is at rest, as after a slow motion. With `rising` the motion went up,
-    else down.
+    Every smooth element has yielded fully. Creep is at rest, as after a slow motion. `rising`: whether the motion went
+    up.
     """
     side = 1 if rising else -1
     smooth = EMPTY if actuator.smooth is None else side * actuator.smooth.length
@@ -167,14 +167,14 @@ def turned(actuator: Actuator, displacement: float, *, rising: bool = True) -> S
 
 
 def state_within_limits(actuator: Actuator, state: State, limits: tuple[float, float]) -> State:
-    """Return the complete state, moved to the nearest limit [V] and at rest if its voltage lies outside the limits.
+    """Return the complete state; if its voltage lies outside the limits [V], moved to the nearest limit and at rest.
 
     Raise `ModelError` if it is not a state of this actuator.
     """
     start = actuator._evaluator.complete_state(state)
-    held = actuator.voltage(start)
-    nearest = min(max(held, limits[0]), limits[1])
-    if abs(held - nearest) <= _ROUNDING * (limits[1] - limits[0]):
+    present = actuator.voltage(start)
+    nearest = min(max(present, limits[0]), limits[1])
+    if abs(present - nearest) <= _ROUNDING * (limits[1] - limits[0]):
         return start
     slow = quasistatic(actuator)
     reached = slow.simulate([nearest], time=np.zeros(1), state=replace(start, motion=EMPTY), extrapolate=True).state
@@ -188,22 +188,22 @@ def state_after_loops(actuator: Actuator, state: State, limits: tuple[float, flo
     within the limits can move them, so the actuator cannot reach this state.
     """
     low, high = limits
-    held, near = actuator.voltage(state), NEAR * (high - low)
-    return state if low - near <= held <= high + near else looped(actuator, limits, rising=held > high)
+    present, near = actuator.voltage(state), NEAR * (high - low)
+    return state if low - near <= present <= high + near else looped(actuator, limits, rising=present > high)
 
 
 def looped(actuator: Actuator, limits: tuple[float, float], *, rising: bool) -> State:
     """Return the state after slow major loops between limits [V], at the upper one if `rising`, with creep at rest."""
     reached = slow_motion(actuator, np.tile(limits if rising else limits[::-1], _VISITS)).state
-    # The state of a slow motion has none of a mass.
+    # A slow motion leaves out the mass: its motion is set to rest.
     return actuator._evaluator.complete_state(replace(reached, motion=EMPTY))
 
 
 def standing(actuator: Actuator, voltage: float, limits: tuple[float, float]) -> State:
     """Return the state at rest at a voltage [V], after slow major loops between limits [V] that end at the nearer one.
 
-    It stands for an unknown state where a displacement is shown: the middle of the possible states may lie far outside
-    of what voltages within the limits reach.
+    It represents an unknown state where a displacement is shown: the middle of all possible states may lie far outside
+    of the displacements that the limits allow.
     """
     state = looped(actuator, limits, rising=voltage > 0.5 * sum(limits))
     return state_within_limits(actuator, state, (voltage, voltage))
@@ -228,9 +228,9 @@ def timed(model: AbstractModel, time: Array) -> dict[str, Any]:
 
 
 def beginning(model: AbstractModel, voltage: Array) -> Any:
-    """Return the initial state before a voltage (n,) [V]: of an actuator the nearest loop end, else None (default).
+    """Return the initial state for a voltage (n,) [V]: the nearest end of a loop; None for another kind of model.
 
-    A distant start would set a mass swinging. An actuator with creep starts relaxed, as before the records, because its
+    A distant start would make a mass ring. An actuator with creep starts relaxed, as before the records, because its
     later motion depends on the initial strain.
     """
     from dehyst.model.actuator import Actuator

@@ -15,14 +15,14 @@ from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal
 from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer, segment_of
 from dehyst.model.states import creep_times, quasistatic, turned, voltages_of
 
-# Duration of a step response in longest time constants, and its number of times.
+# Duration of a step response in longest time constants, and its number of samples.
 _DURATION, _TIMES = 3.0, 160
 _PLACES = 400
-# A lag in a planned path, by who lags.
+# Effect of a lag on a planned path, by the source of the lag.
 _LATE = {
-    "actuator": "the voltages of a path with times lead the path by it",
+    "actuator": "a voltage planned with times leads its path by this lag",
     "sensor": "the sensor lags, not the path",
-    "": "a path is that much late, unless the sensor lagged",
+    "": "a path is late by this lag, unless the sensor caused it",
 }
 
 
@@ -55,7 +55,7 @@ def parts_of(actuator: Actuator) -> tuple[Part, ...]:
 
 
 def bend(transformer: Transformer) -> Array:
-    """Return tau at its knots minus the straight line between its ends (K,) [V]."""
+    """Return tau minus the straight line between its ends, at its knots (K,) [V]."""
     v, tau = transformer.voltage, transformer.drive
     return np.asarray(tau - tau[0] - (v - v[0]) * np.ptp(tau) / np.ptp(v))
 
@@ -68,7 +68,7 @@ def step_response(actuator: Actuator) -> tuple[Array, Array]:
     Returns
     -------
     time, displacement : (n,) array
-        Time since the end of the rise [s], and further displacement as a part of the displacement of the rise.
+        Time since the end of the rise [s], and creep as a part of the displacement of the rise.
     """
     times = creep_times(actuator)
     if not times.size:
@@ -78,7 +78,7 @@ def step_response(actuator: Actuator) -> tuple[Array, Array]:
     slow = quasistatic(actuator)
     shortest, longest = float(times.min()), float(times.max())
     since = np.geomspace(0.1 * shortest, _DURATION * longest, _TIMES)
-    # Rest at the lower limit takes as long as creep lasts.
+    # The actuator waits at the lower limit until creep is at rest.
     rest = np.array([0.0, 20 * longest])
     time = np.concatenate([rest, rest[-1] + 0.1 * shortest + np.concatenate([[0.0], since])])
     voltage = np.concatenate([[low, low], np.full(_TIMES + 1, high)])
@@ -87,7 +87,7 @@ def step_response(actuator: Actuator) -> tuple[Array, Array]:
 
 
 def resonance(dynamics: Dynamics, spring: Spring) -> tuple[float, float]:
-    """Return the resonance at constant charge, and under a voltage at the mean slope of the spring [Hz]."""
+    """Return the resonances [Hz] at constant charge, and at constant voltage with the mean slope of the spring."""
     free = dynamics.frequency
     return free, free * float(np.sqrt(1 - dynamics.share(spring)))
 
@@ -147,7 +147,7 @@ def _dynamics(dynamics: Dynamics, actuator: Actuator) -> Part:
     return Part("Inertia", f"{sentence}.")
 
 
-# Name in one line and sentence of each part that an actuator may have.
+# Name and sentence of each part that an actuator may have.
 _FURTHER: dict[str, tuple[str, Any]] = {
     "transformer": ("transformer", _transformer),
     "displacement_creep": ("creep", _creep),
@@ -164,7 +164,7 @@ def _seconds(time: float) -> str:
 
 
 def _ranges(actuator: Actuator) -> tuple[str, str]:
-    """Return the limits and the stroke in words; without its records the stroke is the range of the spring's knots."""
+    """Return the limits and the stroke in words; without records the stroke is the range of the spring's knots."""
     limits, known = actuator.limits, actuator.identification
     within = np.ptp(actuator.spring.displacement) if known is None or known.validity is None else known.validity.stroke
     return "no voltage limits" if limits is None else ends(*limits, "V"), f"stroke {length(float(within))}"

@@ -1,4 +1,4 @@
-"""Temperatures that records tested: their range, what a path outside of it costs, and where to record next."""
+"""Temperatures that records tested: their range, the error of a path outside of it, and temperatures to record next."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from dehyst.records import Record
 if TYPE_CHECKING:
     from dehyst.model.actuator import Actuator
 
-# Temperatures [degC] so near to those of the records count as tested by a model that does not depend on temperature.
+# A model that does not depend on temperature counts as tested up to this distance [K] from the records.
 NEAR_KELVINS = 2.0
-# Fewest temperatures that show gain and offset.
+# Least number of temperatures that show gain and offset.
 _FEWEST = 3
-# Printed temperatures closer than this [K] are one.
+# Temperatures closer than this [K] count as equal.
 _ALIKE = 0.5
 
 
 def temperature_range(records: Iterable[Record]) -> tuple[float, float] | None:
-    """Return the lowest and highest temperature [degC] of all records; None if one of them has none."""
+    """Return the lowest and highest temperature [degC] of all records; None if a record has no temperature."""
     found = [record.temperature for record in records]
     known = [values for values in found if values is not None]
     if not known or len(known) < len(found):
@@ -39,7 +39,7 @@ def temperature_range(records: Iterable[Record]) -> tuple[float, float] | None:
 
 
 def tested_temperatures(actuator: Actuator) -> tuple[float, float] | None:
-    """Return the lowest and highest temperature [degC] of the records of an `actuator`; None if it is not known."""
+    """Return the lowest and highest temperature [degC] of the records of an `actuator`; None if not known."""
     known = actuator.identification
     return None if known is None or known.validity is None else known.validity.temperatures
 
@@ -47,10 +47,10 @@ def tested_temperatures(actuator: Actuator) -> tuple[float, float] | None:
 def temperatures_to_record(
     tested: tuple[float, float] | None, used: tuple[float, float] | None, reference: float | None = None
 ) -> tuple[float, ...]:
-    """Return the temperatures [degC] to record at, so that the records cover those that are used; empty if they do.
+    """Return temperatures [degC] to record at until the records cover those in use; empty if they already do.
 
-    `tested`: lowest and highest of the records, or None. `used`: lowest and highest in use. `reference`: that of a
-    model that depends on temperature; it does not need three temperatures again.
+    `tested`: lowest and highest of the records, or None. `used`: lowest and highest in use. `reference`: reference of
+    a model that depends on temperature; such a model does not need three temperatures again.
     """
     if used is None:
         return ()
@@ -64,7 +64,7 @@ def temperatures_to_record(
     near = _ALIKE if reference is not None else NEAR_KELVINS
     needed = [end for end, off in ((low, tested[0] - low), (high, high - tested[1])) if off > near]
     if needed and reference is None:
-        # The records have one temperature, or do not show its effect: a third temperature lies between.
+        # The records do not show an effect of temperature: it needs a third temperature in the middle.
         ends = min(low, tested[0]), max(high, tested[1])
         needed.append(0.5 * (ends[0] + ends[1]))
     return tuple(sorted(set(needed)))
@@ -78,10 +78,10 @@ def words_of(temperatures: Iterable[float]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class TemperatureCost:
-    """What the temperature of a path adds to its error.
+    """The error of a path due to its temperature.
 
-    A kelvin outside of the tested temperatures adds the whole effect of a kelvin. If the temperature is not known, the
-    path is computed at the reference, and the effect up to the farthest tested temperature is added.
+    Each kelvin outside of the tested temperatures adds the whole effect of a kelvin. If the temperature is not known,
+    the path is computed at the reference, and the effect up to the farthest tested temperature is added.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class TemperatureCost:
 
     @cached_property
     def kelvins(self) -> Array:
-        """Distance [K] from the tested temperatures, one or one per sample; of an unknown one from the reference."""
+        """Distance [K] from the tested temperatures, one or one per sample; an unknown one may be at either end."""
         if self.tested is None:
             return np.zeros(())
         low, high = self.tested
@@ -114,7 +114,7 @@ class TemperatureCost:
 
     @property
     def per_kelvin(self) -> float:
-        """Most by which a kelvin changes the displacement [m]."""
+        """Largest change of the displacement per kelvin [m/K]."""
         return 0.0 if self.thermal is None else self.thermal.per_kelvin(self.stroke)
 
     @property
@@ -129,7 +129,7 @@ class TemperatureCost:
 
     @property
     def sentence(self) -> str:
-        """What is not known or not tested, and its cost; empty if the temperature is tested."""
+        """Sentence about an unknown or untested temperature and its error; empty if the temperature is tested."""
         tested = "" if self.tested is None else "{:.3g} to {:.3g} degC".format(*self.tested)
         reference = None if self.thermal is None else self.thermal.reference
         if self.temperature is None:
@@ -137,7 +137,7 @@ class TemperatureCost:
                 return ""
             within = f", {percent(self.largest, self.stroke)} within the {tested} of the records" if tested else ""
             return (
-                f"Without its temperature it is computed at {reference:.3g} degC; each kelvin off adds up to "
+                f"Without a temperature the path is computed at {reference:.3g} degC; each kelvin off adds up to "
                 f"{percent(self.per_kelvin, self.stroke)} of the stroke{within}."
             )
         farthest = float(self.kelvins.max(initial=0.0))
@@ -147,13 +147,13 @@ class TemperatureCost:
         used = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
         adds = "" if reference is None else f", which adds {percent(self.largest, self.stroke)} of the stroke"
         return (
-            f"At {used} degC it was not tested: the records have {tested}, {farthest:.3g} K away{adds}. Record at "
-            f"{words_of(temperatures_to_record(self.tested, (low, high), reference))}."
+            f"The model was not tested at {used} degC: the records have {tested}, {farthest:.3g} K away{adds}. "
+            f"Record at {words_of(temperatures_to_record(self.tested, (low, high), reference))}."
         )
 
 
 def demand_thermal(*thermals: Thermal | None) -> Thermal:
-    """Return the first part that depends on temperature, of one actuator or of several; raise `ModelError` if none."""
+    """Return the first part that is not None, of one actuator or of several; raise `ModelError` if all are None."""
     for thermal in thermals:
         if thermal is not None:
             return thermal
@@ -165,7 +165,7 @@ def demand_thermal(*thermals: Thermal | None) -> Thermal:
 
 
 def temperature_columns(temperature: ArrayLike, samples: int, axes: int) -> Array:
-    """Return a temperature [degC] as (samples, axes): of one number, one per sample (samples,), or one per axis too.
+    """Return temperatures [degC] (samples, axes) from one number, one per sample, or one per sample and axis.
 
     Raise `ModelError` if it has another shape.
     """
