@@ -4,7 +4,7 @@ from page_tables import data, table
 
 
 def learning() -> list[str]:
-    """Errors of repetition and feedback, by plant; sensors that lie."""
+    """Errors of repetition and feedback, by plant; faulty sensors."""
     found = data("learning")
     head = ("what the stage has", "compensator alone", "repetition, cycle 3", "10", "30", "feedback, cycle 10")
     rows = []
@@ -15,11 +15,11 @@ def learning() -> list[str]:
     return [
         *table(head, rows),
         "",
-        f"{len(found['lies'])} sensors that lie, on the stage with the resonance: a cycle after the lie is seen, the "
-        f"largest error is at most {max(seen[0]):.2f} times the compensator's alone with a repetition, "
+        f"{len(found['lies'])} faulty sensors on the stage with the resonance: one cycle after the fault is found, the "
+        f"largest error is at most {max(seen[0]):.2f} times that of the compensator alone with a repetition, "
         f"{max(seen[1]):.2f} times with a feedback. At rest a feedback is stable on all {found['stable']['plants']} "
-        "combinations of qualities of 5 to 100, resonances of 1 to 20 kHz, loops of 5 to 20 kHz, and a reading each "
-        "period or each seventh, in time or a period late, with the resonance known to 3 %.",
+        "combinations of Q factors of 5 to 100, resonances of 1 to 20 kHz, loops of 5 to 20 kHz, and a reading each "
+        "period or each seventh, in time or a period late. The resonance is known to 3 %.",
     ]
 
 
@@ -53,8 +53,8 @@ def updates() -> list[str]:
         *table(head, ([kind, *(f"{row[k]:.2f}" for k in (0, 1) for row in pair)] for kind, pair in found.items())),
         "",
         f"`dehyst check` of {aged['truths']} aged stages: of {aged['stated']} changes stated, {len(aged['false'])} "
-        f"were false beyond twice their error; of {aged['over 2 %']} changes of over 2 % of the stroke, "
-        f"{len(aged['missed'])} were left unnamed.",
+        f"were wrong by over twice their error; of {aged['over 2 %']} changes of over 2 % of the stroke, "
+        f"{len(aged['missed'])} were missed.",
     ]
 
 
@@ -74,7 +74,7 @@ def coupled() -> list[str]:
         cells = [f"{most['matrix_error']:.4f}", *(f"{error:.2f}" for error in errors)]
         rows.append([title, *cells, f"{min(single):.1f} to {max(single):.1f}"])
     head = ("mechanisms", "matrix within", "largest", "RMS", "the same axes uncoupled", "models of single axes")
-    return [*table(head, rows), "", "The last column is the worst axis of each stage."]
+    return [*table(head, rows), "", "The last column has the worst axis of each stage."]
 
 
 def creep() -> list[str]:
@@ -96,7 +96,7 @@ def firmware() -> list[str]:
     """Instructions of the steps of an exported compensator."""
     plain, wide = ((row["followed"], row["clamped"]) for row in data("size")["instructions"])
     return [
-        "A step takes bounded time, whatever came before. Instructions of one step in floats (`-O2`, a Cortex-M4F "
+        "The time of a step is bounded for any past. Instructions of one step in floats (`-O2`, a Cortex-M4F "
         f"emulated by QEMU): {plain[0]} along a path and at most {plain[1]} when a clamped step crosses the whole "
         f"range, with ten plain elements; {wide[0]} and {wide[1]} with all parts.",
     ]

@@ -199,8 +199,8 @@ def faults() -> list[str]:
         *table(head, rows),
         "",
         f"{len(found)} faults: the emulator, whose limits are 0 to 200 V, put out {lowest:g} to {highest:g} V. Of the "
-        f"samples that came, {lost} were not on disk. Seconds are counted from the fault on. Every command that was "
-        f"stopped ended within {longest:.0f} s; 5 s or more were waits for an answer or a sample that did not come.",
+        f"samples that arrived, {lost} were not on disk. Seconds are counted from the fault. Every stopped command "
+        f"ended within {longest:.0f} s; those of 5 s or more waited for an answer or a sample.",
     ]
 
 
