@@ -92,6 +92,20 @@ def test_insight_and_compensate_state_the_failure_of_one_plan(folder):
     assert {*planned["warnings"]} & {*seen["warnings"]}
 
 
+def test_insight_reads_a_path_as_compensate_does(folder):
+    rows = (folder / "path.csv").read_text().splitlines()[1:]
+    (folder / "line.csv").write_text("\n".join(["time_s,x_um", *rows]))
+    (folder / "plane.csv").write_text("\n".join(["time_s,x_um,y_um", *(f"{row},7" for row in rows)]))
+    names = "time=time_s, voltage=voltage_V, displacement="
+    tries = {"path.csv": f"{names}displacement_um", "line.csv": f"{names}displacement_um", "plane.csv": f"{names}x_um"}
+    for path, text in tries.items():
+        given = () if path == "path.csv" else ("--columns", "displacement=x_um")
+        planned = result("compensate", "model.json", path, "-o", "v.csv", "--force", *given, cwd=folder)[1]
+        seen = result("insight", "model.json", "loops.csv", "--trajectory", path, "--columns", text, cwd=folder)[1]
+        assert seen["promise"] == planned["promise"]
+    assert run("compensate", "model.json", "line.csv", "-o", "v.csv", "--force", cwd=folder)[0] == 0
+
+
 def test_help_has_every_command_once_under_a_heading_on_one_screen():
     status, out, err = run("--help")
     assert status == 0 and len(out.splitlines()) <= 40 and run() == (status, out, err)

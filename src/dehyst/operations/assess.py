@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,10 @@ from dehyst._io import unwritten, write_atomically
 from dehyst.control import plan_path
 from dehyst.operations.axes import AxesModel, OfAxes, of_one_axis, slew_option
 from dehyst.operations.command import CONTINUED, INPUT, REPORT, Values, argument, command, number, option, output, pair
-from dehyst.operations.files import COLUMNS, RECORD, Columns
+from dehyst.operations.files import AS_FOUND, COLUMNS, RECORD, Columns, columns_in
 from dehyst.operations.paths import reach_remarks, read_path
 from dehyst.operations.run import Result, Run, files
-from dehyst.records import percent
+from dehyst.records import percent, read_table
 from dehyst.report import write_insight
 from dehyst.trust import Insight, Recheck, StageInsight, Update
 from dehyst.trust import check as check_one
@@ -43,11 +44,16 @@ def insight(
 ) -> Result:
     """Assess a MODEL by the RECORDS that it was identified from: its promise, and what to record next.
 
-    The status is 1 if there is a warning, as for a path that cannot be followed.
+    A trajectory is read as by dehyst compensate; a name in --columns counts for the file that has it. The status is 1
+    if there is a warning, as for a path that cannot be followed.
     """
     known = AxesModel.read(run, model)
     known.demand(columns, RECORD, "on records")
-    training = [known.record(run, path, columns) for path in records]
+    own, of_path = columns, columns
+    if trajectory is not None and columns != AS_FOUND:
+        tables = [read_table(path, columns) for path in (records[0], trajectory)]
+        own, of_path = columns_in(columns, *tables), columns_in(columns, *reversed(tables))
+    training = [known.record(run, path, own) for path in records]
     asked: dict[str, Any] = {"limits": limits, "progress": run.progress}
     if known.stage is not None:
         whole = insight_one(known.stage, training, **asked)
@@ -56,9 +62,8 @@ def insight(
     else:
         plan = None
         if trajectory is not None:
-            # The columns are those of the records.
-            own = Columns(temperature=columns.temperature)
-            path, warmth, clock = read_path(known, trajectory, own, zero, remark=run.note)
+            of_path = replace(of_path, voltage=None, hold=None, join=None)
+            path, warmth, clock = read_path(known, trajectory, of_path, zero, remark=run.note)
             for remark in reach_remarks(known.actuators[0], path[:, 0], limits, zero, warmth):
                 run.note(remark)
             when = {"time": clock.get("time_s"), "temperature": warmth}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,22 @@ AS_COLUMNS = Parsed(Columns)
 _FORM = "As 'time=Time:ms, voltage=Ch1*100, displacement=Sensor:um', or @FILE; see dehyst show --help."
 COLUMNS: Any = option(_FORM, AS_COLUMNS, default=AS_FOUND)
 GAIN: Any = number("Gain of the amplifier: its input, a voltage over the gain, is a column too.")
+
+
+def columns_in(columns: Columns, table: Table, other: Table | None = None) -> Columns:
+    """Return columns without the names that a table lacks; with an `other` table, only without those that it has.
+
+    So one text serves two files. A rate is of the table without a time.
+    """
+
+    def lacks(file: Table, key: str, name: Any) -> bool:
+        return bool(file.fitting("time")) if key == "rate" else file.fitting(key, name) != 1
+
+    given = {key: getattr(columns, key) for key in ("time", "voltage", "displacement", "temperature", "rate")}
+    named = {key: name for key, name in given.items() if name is not None and lacks(table, key, name)}
+    return replace(
+        columns, **{key: None for key, name in named.items() if other is None or not lacks(other, key, name)}
+    )
 
 
 def clock_of(table: Table, columns: Columns) -> dict[str, Array]:

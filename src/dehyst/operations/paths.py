@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from dehyst._errors import FileFormatError, ModelError
 from dehyst._text import counted
 from dehyst._types import Array
+from dehyst._units import FACTORS
 from dehyst._views.lines import ends
 from dehyst.control import Compensator, VoltageLimits
 from dehyst.control.limits import unit_hint
@@ -76,10 +78,13 @@ def read_path(
 ) -> tuple[Array, Array | None, dict[str, Array]]:
     """Return the wanted displacement (n, axes) [m] in a file from the sensor's zero, its temperature [degC], its time.
 
-    `zero`: of the path [um of the sensor].
+    `zero`: of the path [um of the sensor]. For one axis the only column of lengths needs no name.
     """
     known.demand(columns, PATH, "on a path")
     table = table_of(path, columns)
+    lengths = [column.name for column in table.columns if column.parts[1] in FACTORS["displacement"]]
+    if known.stage is None and not columns.displacement and len(lengths) == 1 and not table.fitting("displacement"):
+        columns = replace(columns, displacement=lengths[0])
     wanted = known.values(table, "displacement", columns)
     warmth = temperature_of(known, columns, table, remark=remark)
     return wanted + 1e-6 * zero if zero else wanted, warmth, clock_of(table, columns)

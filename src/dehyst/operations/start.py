@@ -19,7 +19,7 @@ from dehyst.control.planning.start import NAMES
 from dehyst.model import Actuator, State, creep_times, needs_time, voltages_of
 from dehyst.operations.axes import AxesModel, Limits
 from dehyst.operations.command import FilePath, Role, option
-from dehyst.operations.files import AS_FOUND, Columns
+from dehyst.operations.files import AS_FOUND, Columns, columns_in
 from dehyst.records import read_table
 from dehyst.records.columns import columns_of_axis
 from dehyst.records.files import record_of
@@ -88,8 +88,7 @@ def _starts_in(
         both = columns.axes and all(len(columns_of_axis(text)) == 2 for text in columns.axes.values())
         used = AS_FOUND if own else columns if both else replace(columns, axes=model.recorded())
     else:
-        given = {} if own else {key: getattr(columns, key) for key in ("time", "voltage", "displacement")}
-        used = Columns(**{key: text for key, text in given.items() if text and table.fitting(key, text) == 1})
+        used = AS_FOUND if own else columns_in(columns, table)
     moved = [used.displacement] if model.stage is None else model.named("displacement", used).values()
     measured = not own and all(table.fitting("displacement", column) == 1 for column in moved)
     record = record_of(table, used, name) if measured else None
