@@ -74,8 +74,8 @@ def entrants() -> dict:
 
 
 def virtual() -> dict:
-    found = demo.journey().as_dict()
-    return {key: found[key] for key in ("linear", "compensated")} | {"errors": found["fit"]["errors"]}
+    _, fit, path = demo.journey()
+    return {kind: demo.errors_of(path, kind) for kind in ("linear", "compensated")} | {"errors": fit.as_dict()["errors"]}
 
 
 def p885(folder: Path) -> tuple[dehyst.Record, dehyst.Record]:

@@ -35,24 +35,24 @@ def saved(target: Path, size: tuple[float, float], draw, columns: int, **options
 
 def draw_demo(left: Axes, right: Axes) -> None:
     """Draw what is reached over what is wanted, with a piece enlarged, and the error in time."""
-    found = demo.journey()
-    curves = (found.linear, BEFORE, "straight scale factor"), (found.compensated, AFTER, "dehyst")
-    wanted = found.wanted * 1e6
+    _, _, path = demo.journey()
+    curves = (path["linear_um"], BEFORE, "straight scale factor"), (path["compensated_um"], AFTER, "dehyst")
+    wanted = path["wanted_um"]
     low, span = wanted.min(), np.ptp(wanted)
     middle, half = low + PIECE[0] * span, PIECE[1] * span
     for y, colour, name in curves:
-        left.plot(wanted, y * 1e6, color=colour, lw=1.2, label=name)
+        left.plot(wanted, y, color=colour, lw=1.2, label=name)
     left.set(xlabel="wanted (µm)", ylabel="reached (µm)", title="Following a path with nine reversals")
     left.legend(loc="upper left")
     inset = left.inset_axes((0.62, 0.1, 0.36, 0.36), xlim=(middle - half, middle + half), xticks=[], yticks=[])
     inset.set_ylim(middle - 2.2 * half, middle + 2.2 * half)
     for y, colour, _ in curves:
-        inset.plot(wanted, y * 1e6, color=colour, lw=1.2)
+        inset.plot(wanted, y, color=colour, lw=1.2)
     inset.set_facecolor("white")
     left.indicate_inset_zoom(inset, edgecolor="0.4")
     for y, colour, name in curves:
-        error = 100 * (y - found.wanted) / found.stroke
-        right.plot(found.time, error, color=colour, lw=1.2, label=f"{name}: at most {np.abs(error).max():.2f} %")
+        error = 100 * (y - wanted) / (1e6 * demo.PlayActuator().stroke)
+        right.plot(path["time_s"], error, color=colour, lw=1.2, label=f"{name}: at most {np.abs(error).max():.2f} %")
     right.set(xlabel="time (s)", ylabel="error (% of stroke)", title="Its error")
     room_above(right, 0.3)
     right.legend(loc="upper right")

@@ -111,7 +111,7 @@ def test_demo_leaves_its_files_and_beats_the_paper(journey, tmp_path, monkeypatc
     assert {path.name for path in (tmp_path / "d").iterdir()} == names
     tracking = read_table(tmp_path / "d" / "tracking.csv").columns
     data = {column.name: column.data for column in tracking}
-    error = np.abs(data["compensated_um"] - data["wanted_um"]).max() / numbers["stroke_um"] * 100
+    error = np.abs(data["compensated_um"] - data["wanted_um"]).max() / (1e6 * demo.PlayActuator().stroke) * 100
     assert error == pytest.approx(numbers["compensated"]["largest_percent"], rel=1e-6)
 
 

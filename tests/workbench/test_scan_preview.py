@@ -49,4 +49,4 @@ def test_what_is_no_scan_is_refused_with_its_field(scan, rate, argument):
     with pytest.raises(DehystError) as refused:
         scan_columns(scan, rate)
     assert refused.value.as_dict()["argument"] == argument
-    assert argument != "low, high" or str(refused.value).startswith("--low, --high: ")
+    assert argument != "low, high" or str(refused.value).startswith("low, high: ")

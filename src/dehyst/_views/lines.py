@@ -47,13 +47,13 @@ def span_of(values: Array, unit: str, factor: float = 1.0) -> str:
 
 
 def length(metres: float, *unlike: float) -> str:
-    """Return a length as text in um, or in nm below 1 um, see `digits`."""
+    """Return a length as text in um, or in nm below 1 um, see `digits`; rounding is 0."""
     unit, size, count = ("nm", 1e-9, 3) if abs(metres) < 1e-6 else ("um", 1e-6, 4)
-    return f"{digits(metres / size, count, *(other / size for other in unlike))} {unit}"
+    return f"{digits(round(metres / size, 9), count, *(other / size for other in unlike))} {unit}"
 
 
 def percent(part: float, whole: float, *unlike: float, goal: float = inf) -> str:
     """Return a ratio as text in percent; `unlike` are other parts and `goal` [%] is another ratio, as in `digits`."""
     if not (whole > 0 and np.isfinite(part)):
         return "not known"
-    return f"{digits(100 * part / whole, 2, goal, *(100 * other / whole for other in unlike))} %"
+    return f"{digits(round(100 * part / whole, 9), 2, goal, *(100 * other / whole for other in unlike))} %"

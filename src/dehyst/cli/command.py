@@ -20,8 +20,6 @@ from dehyst.records.columns import text_of
 from dehyst.records.tables import ColumnsError, notes_on
 
 _ENDING = b"dehyst: Ctrl-C: completing the best model so far; press it again to stop at once\n"
-# How to type columns only once.
-_KEPT = "dehyst show FILE --columns TEXT --save FILE keeps them for --columns @FILE."
 
 
 class TerminalRun(Run):
@@ -92,7 +90,7 @@ def _refuse(ctx: click.Context, error: DehystError, as_json: bool, known: Mappin
     for command in commands:
         echo(f"  {command}", err=True)
     suggestion = trials[0] if len(trials) == 1 else ""
-    for advice in (*notes_on(suggestion), _KEPT) if suggestion else ():
+    for advice in notes_on(suggestion) if suggestion else ():
         echo(advice, err=True)
     if as_json:
         fields = {**error.as_dict(), "message": escaped(sentence), "suggestion": suggestion, "commands": commands}

@@ -15,7 +15,7 @@ try:
 
     from dehyst._version import __version__
     from dehyst.cli.terminal import INTERRUPTED, echo, echo_json, guarded_streams, note
-    from dehyst.operations.command import argument_of
+    from dehyst.operations.command import argument_of, hint_of
     from dehyst.operations.registry import JOURNEY, find
 except KeyboardInterrupt:
     os.write(2, b"dehyst: stopped by Ctrl-C\n")
@@ -87,12 +87,13 @@ class Commands(click.Group):
             except click.ClickException as error:
                 shown = io.StringIO()
                 error.show(shown)
-                for line in shown.getvalue().removesuffix("\n").split("\n"):
+                hint, lines = hint_of(error), shown.getvalue().removesuffix("\n").split("\n")
+                for line in [*lines, *[f"To try: {hint}"] * (hint not in lines)]:
                     echo(line, err=True)
                 if "--json" in words:
                     argument = argument_of(error) if isinstance(error, click.UsageError) else ""
                     fields = {"kind": type(error).__name__, "message": error.format_message(), "argument": argument}
-                    echo_json({"error": fields})
+                    echo_json({"error": {**fields, "hint": hint}})
                 sys.exit(error.exit_code)
             except click.Abort:
                 sys.exit(INTERRUPTED)

@@ -49,7 +49,8 @@ class Steps(ProgressListener):
         """Show how much was received."""
         self._first = self._first if self._count else float(samples.time[0])
         self._count += samples.time.size
-        played = float(samples.time[-1]) - self._first
+        # An instrument reads a little longer than it plays.
+        played = min(float(samples.time[-1]) - self._first, self._seconds)
         self._run.progress(f"{self._name}: {played:.0f} of {self._seconds:.0f} s, {self._count} samples")
 
     def message(self, text: str) -> None:

@@ -11,7 +11,6 @@ import math
 import re
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from enum import Enum
 from functools import partial
 from pathlib import Path
@@ -235,6 +234,13 @@ def argument_of(error: click.UsageError) -> str:
     return str(parameter.name) if parameter is not None else name.lstrip("-").replace("-", "_")
 
 
+def hint_of(error: click.ClickException) -> str:
+    """Return what to try after words that click refuses: what the option takes, or the usage of the command."""
+    ctx, parameter = getattr(error, "ctx", None), getattr(error, "param", None)
+    record = parameter.get_help_record(ctx) if parameter and ctx else None
+    return ": ".join(record) if record and record[1] else ctx.get_usage() if ctx else ""
+
+
 def error_text(ctx: click.Context, error: DehystError) -> str:
     """Return the message of an error with options in the place of the library's arguments."""
     parameters = {parameter.name: parameter for parameter in ctx.command.params}
@@ -257,16 +263,6 @@ def error_text(ctx: click.Context, error: DehystError) -> str:
     if isinstance(given, float) and re.fullmatch(r"[-+.e\d]+", error.got):
         error.got = f"{given:g}" if float(error.got) == given else f"{given:g}, which is {error.got} in SI units"
     return error.text(named, way)
-
-
-@contextmanager
-def naming_options(ctx: click.Context) -> Iterator[None]:
-    """Let an error name the options of a command in the place of the library's arguments."""
-    try:
-        yield
-    except DehystError as error:
-        error.args = (error_text(ctx, error),)
-        raise
 
 
 def given_in(ctx: click.Context) -> dict[str, Any]:
@@ -309,4 +305,5 @@ def context_of(words: Sequence[str]) -> click.Context:
             name, command, left = command.resolve_command(parent, left)  # type: ignore[assignment]
         return command.make_context(name, left, parent=parent)
     except click.UsageError as error:
-        raise OperationError(error.format_message(), argument=argument_of(error) or words[0]) from error
+        said = error.format_message() if getattr(error, "param", None) is None else error.message or "need a value"
+        raise OperationError(said, argument=argument_of(error) or name) from error

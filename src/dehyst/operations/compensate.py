@@ -15,7 +15,7 @@ from dehyst._errors import ModelError, RecordError, of_part
 from dehyst._io import write_atomically
 from dehyst._text import counted, escape
 from dehyst._types import Array
-from dehyst._views.lines import span_of
+from dehyst._views.lines import length, span_of
 from dehyst.control import PathPlan, WaveTable, plan_path, wave_table
 from dehyst.model import USELESS, Actuator, voltages_of
 from dehyst.operations import start as starts
@@ -148,7 +148,7 @@ def _answer(
     good = all(map(_is_good, plans))
     if found is not None:
         lines.append(
-            f"the steady table after {counted(found.cycles, 'cycle')} of start-up, to {found.error * 1e6:.3g} um; "
+            f"the steady table after {counted(found.cycles, 'cycle')} of start-up, to {length(found.error)}; "
             f"{counted(len(found.cycle), 'sample')} a cycle: {made['table']}"
         )
         good = good and found.settled and not found.plan.clamped.any()

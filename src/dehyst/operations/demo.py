@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,31 +14,13 @@ from dehyst.identification import Fit, identify
 from dehyst.operations.command import FOLDER, command, output
 from dehyst.operations.run import Result, Run
 from dehyst.records import Record, largest, percent, rms, write_columns, write_record
+from dehyst.report import write_report
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, raised_cosine, recommended, wanted_path
 
 _SAMPLES = 400
 _RATE = 0.01 * _SAMPLES
 _IDENTIFIED = "dehyst identify loops.csv --validate other-loops.csv -o model.json --report report.html"
-
-
-@dataclass(frozen=True, eq=False)
-class Demo:
-    """Result of the demo: records, fit, stroke [m]; and the columns of a path: wanted, voltage, and reached twice."""
-
-    records: tuple[Record, Record]
-    fit: Fit
-    stroke: float
-    path: Mapping[str, Array]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return JSON values; errors in % of the stroke."""
-        found: dict[str, Any] = {"stroke_um": 1e6 * self.stroke}
-        for kind in ("linear", "compensated"):
-            error = self.path[f"{kind}_um"] - self.path["wanted_um"]
-            shares = {f"{of.__name__}_percent": percent(of(error), 1e6 * self.stroke) for of in (largest, rms)}
-            found[kind] = {**shares, "largest_um": largest(error)}
-        return {**found, "fit": self.fit.as_dict()}
 
 
 def record_loops(truth: PlayActuator) -> tuple[Record, Record]:
@@ -54,8 +34,8 @@ def record_loops(truth: PlayActuator) -> tuple[Record, Record]:
     )
 
 
-def journey(progress: Progress = lambda _: None) -> Demo:
-    """Run the whole workflow; seeded and thus reproducible."""
+def journey(progress: Progress = lambda _: None) -> tuple[tuple[Record, Record], Fit, dict[str, Array]]:
+    """Run the whole workflow, seeded: return records, fit, and the columns of a path that is followed twice."""
     truth = PlayActuator()
     progress("recording loops of a virtual actuator")
     records = record_loops(truth)
@@ -71,27 +51,30 @@ def journey(progress: Progress = lambda _: None) -> Demo:
     for kind, voltage in (("compensated", path["voltage_V"]), ("linear", wanted * truth.highest / truth.stroke)):
         truth.play(homing)
         path[f"{kind}_um"] = 1e6 * truth.play(voltage, measured=False)
-    return Demo(records, fit, truth.stroke, path)
+    return records, fit, path
+
+
+def errors_of(path: Mapping[str, Array], kind: str) -> dict[str, float]:
+    """Return the errors along the path of the journey, "linear" or "compensated", in % of the stroke."""
+    error, stroke = path[f"{kind}_um"] - path["wanted_um"], 1e6 * PlayActuator().stroke
+    return {f"{of.__name__}_percent": percent(of(error), stroke) for of in (largest, rms)}
 
 
 @command("demo")
 def demo(run: Run, output: Path = output("New or empty folder.", FOLDER, default="dehyst-demo")) -> Result:
     """Record, identify, compensate and verify on an embedded virtual actuator."""
-    from dehyst.report import write_report
-
     target = made_folder(output)
-    found = journey(run.progress)
+    records, fit, path = journey(run.progress)
     run.progress("writing")
-    numbers = found.as_dict()
-    for record in found.records:
+    for record in records:
         write_record(target / f"{record.name}.csv", record)
-    found.fit.actuator.save(target / "model.json")
-    write_columns(target / "tracking.csv", found.path, digits=12)
-    write_report(target / "report.html", found.fit, command=_IDENTIFIED)
+    fit.actuator.save(target / "model.json")
+    write_columns(target / "tracking.csv", path, digits=12)
+    write_report(target / "report.html", fit, command=_IDENTIFIED)
     names = ["loops.csv", "other-loops.csv", "model.json", "tracking.csv", "report.html"]
-    lines = [found.fit.summary().split("\n")[0], "", "A path with nine reversals, largest error in % of the stroke"]
-    for name, key in (("linear feedforward (end-point ratio)", "linear"), ("dehyst", "compensated")):
-        most, mean = numbers[key]["largest_percent"], numbers[key]["rms_percent"]
-        lines.append(f"  {name:<38}{most:7.2f} %   RMS {mean:5.2f} %")
-    lines += ["", f"Written to {output}/: {', '.join(names)}"]
-    return Result({**numbers, "written": [str(target / name) for name in names]}, lines)
+    lines = [fit.summary().split("\n")[0], "", "A path with nine reversals, largest error in % of the stroke"]
+    errors = {kind: errors_of(path, kind) for kind in ("linear", "compensated")}
+    for name, error in zip(("linear feedforward (end-point ratio)", "dehyst"), errors.values(), strict=True):
+        lines.append(f"  {name:<38}{error['largest_percent']:7.2f} %   RMS {error['rms_percent']:5.2f} %")
+    fields = {**errors, "fit": fit.as_dict(), "written": [str(target / name) for name in names]}
+    return Result(fields, [*lines, "", f"Written to {output}/: {', '.join(names)}"])

@@ -37,10 +37,9 @@ def columns_in(columns: Columns, table: Table, other: Table | None = None) -> Co
         return bool(file.fitting("time")) if key == "rate" else file.fitting(key, name) != 1
 
     given = {key: getattr(columns, key) for key in ("time", "voltage", "displacement", "temperature", "rate")}
-    named = {key: name for key, name in given.items() if name is not None and lacks(table, key, name)}
-    return replace(
-        columns, **{key: None for key, name in named.items() if other is None or not lacks(other, key, name)}
-    )
+    missing = {key: name for key, name in given.items() if name is not None and lacks(table, key, name)}
+    left = [key for key, name in missing.items() if other is None or not lacks(other, key, name)]
+    return replace(columns, **dict.fromkeys(left))
 
 
 def clock_of(table: Table, columns: Columns) -> dict[str, Array]:

@@ -15,7 +15,7 @@ import click
 
 from dehyst._errors import FileFormatError, Terminated
 from dehyst._io import demand_own_folder, draft_of, unwritten
-from dehyst.operations.command import HOUSE, OperationError, Role, command_of, given_in, naming_options, paths_in
+from dehyst.operations.command import HOUSE, OperationError, Role, command_of, given_in, paths_in
 
 # Formats of models, of one axis and several.
 MODELS = ("dehyst-actuator", "dehyst-stage")
@@ -142,8 +142,7 @@ def perform(ctx: click.Context, run: Run) -> Result:
             demand_own_folder(folder, "", "", force=run.force)
         demand_writable(folder)
     assert ctx.command.callback is not None
-    with naming_options(ctx):
-        result: Result = ctx.command.callback(run, **values)
+    result: Result = ctx.command.callback(run, **values)
     return result
 
 
@@ -154,11 +153,11 @@ def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path], kept: Sequen
     """
     if len({os.path.realpath(output) for output in outputs}) < len(outputs):
         raise FileFormatError(f"{outputs[0]}: is the name of two outputs; give each its own name")
-    before = list(inputs)
+    before = {os.path.realpath(path) for path in inputs}
     for output in (*outputs, *kept):
         if str(output) == "-":
             raise FileFormatError("-: is no name of a file, and standard output holds the summary; name a file")
-        if any(_same(output, path) for path in before):
+        if os.path.realpath(output) in before:
             raise FileFormatError(f"{output}: is also an input of this command; give another name for the output")
         demand_writable(output)
         if output in kept:
@@ -185,14 +184,6 @@ def demand_writable(path: Path) -> None:
         draft.unlink()
     except OSError as error:
         raise unwritten(path, error) from error
-
-
-def _same(first: Path, second: Path) -> bool:
-    """Return whether two names refer to the same file."""
-    try:
-        return first.samefile(second)
-    except OSError:
-        return os.path.realpath(first) == os.path.realpath(second)
 
 
 def files(**paths: Path | None) -> list[str]:

@@ -52,7 +52,7 @@ class Scale(NamedTuple):
             return cls(number, symbol_of(periodic[3]), "", periodic[1].lower())
         if match and isfinite(number) and number:
             return cls(number, match[2] or "", match[3] or "")
-        need = "a number from the data sheet, not 0; of a fringe or a grating a length, as *fringe 316.4 nm"
+        need = "a number from the data sheet, not 0; of a fringe or a grating a length above 0, as *fringe 316.4 nm"
         raise FileFormatError(argument="columns", got=f"*{text}", need=need)
 
     def __str__(self) -> str:

@@ -78,10 +78,10 @@ def document(title: str, parts: Iterable[Part]) -> str:
 
 
 def number(value: float) -> str:
-    """Return `value` as text with three significant digits, without an exponent if possible."""
+    """Return `value` as text with three significant digits, without an exponent if possible; rounding is 0."""
     if not math.isfinite(value):
         return "not known"
-    if value == 0:
+    if not round(value, 12):
         return "0"
     size = math.floor(math.log10(abs(value)))
     text = f"{value:.{max(0, 2 - size)}f}" if -4 <= size <= 5 else f"{value:.2e}"

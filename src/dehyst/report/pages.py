@@ -172,13 +172,13 @@ def write_comparison(path: PathLike, found: ModelComparison, *, command: str | N
 
 
 def _bars(found: ModelComparison) -> str:
-    """Return a picture: the largest and RMS error of each model on what was held out, least first."""
+    """Return a picture: the largest and RMS error of each model on what was held out, the least RMS error first."""
     scores = [(score, row.name) for row in found.rows if (score := row.worst("validation")) is not None]
     if len(scores) < _FEWEST_BARS:
         return ""
-    scores.sort(key=lambda pair: pair[0].largest)
+    scores.sort(key=lambda pair: pair[0].rms)
     # Beside a linear ratio the others would be dots: the scale ends at some times the middle.
-    end = min(scores[-1][0].largest, _LONGEST * scores[len(scores) // 2][0].largest) or 1.0
+    end = min(max(score.largest for score, _ in scores), _LONGEST * scores[len(scores) // 2][0].largest) or 1.0
     lines = "\n".join(
         f"<dt>{f'<b>{escape(name)}</b>' if name == OURS else escape(name)}</dt><dd>"
         f'<span class="bar" style="width:{100 * min(score.largest / end, 1.0):.1f}%"></span>'
@@ -189,7 +189,7 @@ def _bars(found: ModelComparison) -> str:
     )
     return (
         '<h2>Which model predicts best</h2>\n<p class="muted">Largest and RMS error on what was held out, in % of the '
-        f'stroke; the least first.</p>\n<dl class="bars">{lines}</dl>'
+        f'stroke; the least RMS first.</p>\n<dl class="bars">{lines}</dl>'
     )
 
 

@@ -16,7 +16,7 @@ from dehyst.control import Compensator
 from dehyst.exports import wasm_module
 from dehyst.model import Actuator
 from dehyst.operations.axes import AxesModel
-from dehyst.operations.command import context_of, given_in, naming_options
+from dehyst.operations.command import context_of, given_in
 from dehyst.operations.files import AS_FOUND, Columns, clock_of
 from dehyst.operations.run import Run
 from dehyst.records import read, table_of, write_columns
@@ -134,8 +134,7 @@ def scan_columns(scan: Mapping[str, Any], rate: Any) -> tuple[Array, Array]:
     context = context_of(words)
     kind, cycles = str(context.info_name), context.params["cycles"]
     values = {name: value for name, value in given_in(context).items() if name not in ("output", "cycles")}
-    with naming_options(context):
-        path = scan_of(kind, values, hertz).path(axis)
+    path = scan_of(kind, values, hertz).path(axis)
     if len(path) * cycles > _MOST_DRAWN:
         got = f"{hertz:g} Hz, {len(path) * cycles} samples"
         raise RequestError(argument="rate", got=got, need=f"{_MOST_DRAWN} at most to draw them")
