@@ -75,7 +75,8 @@ def entrants() -> dict:
 
 def virtual() -> dict:
     _, fit, path = demo.journey()
-    return {kind: demo.errors_of(path, kind) for kind in ("linear", "compensated")} | {"errors": fit.as_dict()["errors"]}
+    found = {kind: demo.errors_of(path, kind) for kind in ("linear", "compensated")}
+    return found | {"errors": fit.as_dict()["errors"]}
 
 
 def p885(folder: Path) -> tuple[dehyst.Record, dehyst.Record]:

@@ -37,8 +37,7 @@ def draw_demo(left: Axes, right: Axes) -> None:
     """Draw what is reached over what is wanted, with a piece enlarged, and the error in time."""
     _, _, path = demo.journey()
     curves = (path["linear_um"], BEFORE, "straight scale factor"), (path["compensated_um"], AFTER, "dehyst")
-    wanted = path["wanted_um"]
-    low, span = wanted.min(), np.ptp(wanted)
+    low, span = (wanted := path["wanted_um"]).min(), np.ptp(wanted)
     middle, half = low + PIECE[0] * span, PIECE[1] * span
     for y, colour, name in curves:
         left.plot(wanted, y, color=colour, lw=1.2, label=name)

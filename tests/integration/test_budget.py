@@ -16,7 +16,7 @@ FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
     "calibration": 1073,
-    "cli": 364,
+    "cli": 363,
     "control": 3513,
     "exports": 1265,
     "fleet": 310,
@@ -24,7 +24,7 @@ ROOMS = {
     "identification": 5804,
     "instruments": 2434,
     "model": 3472,
-    "operations": 2876,
+    "operations": 2873,
     "paper": 958,
     "records": 4503,
     "report": 1469,
@@ -33,10 +33,10 @@ ROOMS = {
     "virtual": 736,
     "waveforms": 1290,
     "web": 50,
-    "workbench": 2200,
+    "workbench": 2199,
 }
 HOUSE = {
-    "lines of Python": 36283,
+    "lines of Python": 36278,
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2716,
