@@ -38,8 +38,8 @@ def columns_in(columns: Columns, table: Table, other: Table | None = None) -> Co
 
     given = {key: getattr(columns, key) for key in ("time", "voltage", "displacement", "temperature", "rate")}
     missing = {key: name for key, name in given.items() if name is not None and lacks(table, key, name)}
-    left = [key for key, name in missing.items() if other is None or not lacks(other, key, name)]
-    return replace(columns, **dict.fromkeys(left))
+    left: Any = dict.fromkeys(key for key in missing if other is None or not lacks(other, key, missing[key]))
+    return replace(columns, **left)
 
 
 def clock_of(table: Table, columns: Columns) -> dict[str, Array]:
