@@ -5,6 +5,29 @@ import numpy as np
 from dehyst.control import VoltageLimits
 from dehyst.instruments import AbstractRig, Reading, Samples
 from dehyst.testing import FakeInstrument
+from dehyst.waveforms import Excitation
+
+UP = Excitation("up", np.linspace(0, 50, 101), 1000.0)
+BROUGHT = "The voltage was brought to 0 V."
+
+
+def raises(error):
+    """A method that raises an error."""
+
+    def fail(*_):
+        raise error
+
+    return fail
+
+
+def beyond(volts, act):
+    """A listener that acts at the first samples beyond a voltage."""
+    return lambda samples: act() if samples.voltage[-1] > volts else None
+
+
+def playing(*voltage, rate=1000.0):
+    """Play voltages on a rig."""
+    return lambda rig: rig.play(Excitation("odd", np.array(voltage, dtype=float), rate))
 
 
 class FakeRig(AbstractRig):
