@@ -1,32 +1,21 @@
 """What every reader of a file format must do: a sound file of each suffix is read, and what is none is refused."""
 
 import random
-import tempfile
-from functools import cache
+import shutil
 from pathlib import Path
 
-import file_specimens
 import numpy as np
 import pytest
+from laboratory_containers import write_sound
+from laboratory_files import T, V, Y
 
 from dehyst import DehystError, FileFormatError, Record, read
 from dehyst.records import LOADERS, files, read_table
 from dehyst.records.formats.column import Allowance
 
-RECORD = Record(file_specimens.T, file_specimens.V, file_specimens.Y)
-NAMES = [
-    "plain.csv",
-    "tabs.tsv",
-    "comma.txt",
-    "spaces.dat",
-    "packed.mat",
-    "grouped.h5",
-    "packed.hdf5",
-    "named.npy",
-    "plain.npz",
-    "plain.xlsx",
-    "plain.tdms",
-]
+RECORD = Record(T, V, Y)
+NAMES = ["scope.csv", "tabs.tsv", "units.txt", "spaces.dat", "packed.mat", "group.h5", "packed.hdf5", "order.npy"]
+NAMES += ["packed.npz", "rows.xlsx", "daq.tdms"]
 # Content that is no measurement in any format: nothing but zeros, lines and noise.
 FOREIGN = {
     "empty": b"",
@@ -37,17 +26,17 @@ FOREIGN = {
 }
 
 
-@cache
-def specimens():
-    with tempfile.TemporaryDirectory() as folder:
-        return file_specimens.specimens(Path(folder))
+@pytest.fixture(scope="session")
+def sound(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sound")
+    write_sound(folder)
+    return folder
 
 
 @pytest.fixture(params=NAMES)
-def path(request, tmp_path):
+def path(request, sound, tmp_path):
     """A sound file of each suffix."""
-    (tmp_path / request.param).write_bytes(specimens()[request.param])
-    return tmp_path / request.param
+    return shutil.copy(sound / request.param, tmp_path / request.param)
 
 
 def test_every_suffix_has_a_file_here():

@@ -13,4 +13,4 @@ import batches
 from ways_out import play
 
 if __name__ == "__main__":
-    batches.main("ways out", play)
+    batches.main(play)

@@ -2,10 +2,7 @@
 
 import shutil
 import subprocess
-import tempfile
 from dataclasses import replace
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 import plain_records
@@ -13,7 +10,7 @@ import pytest
 import structured_records
 
 from dehyst import Compensator, DisplacementCreep, Dynamics
-from dehyst.exports.firmware import SOURCES, code
+from dehyst.exports.firmware import code
 from dehyst.exports.naming import shipped
 from dehyst.model import turned
 
@@ -21,7 +18,6 @@ STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract
 CORTEX_M4 = ("-O2", "-mcpu=cortex-m4", "-mthumb")
 CORTEX_M4F = (*CORTEX_M4, "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
 LIMITS = (10.0, 150.0)
-_BUILT = tempfile.TemporaryDirectory(prefix="dehyst-core-")
 SEED, MULTIPLIER, INCREMENT = 88172645463325252, 6364136223846793005, 1442695040888963407
 OFFSET, PRIME, WORD = 14695981039346656037, 1099511628211, 2**64 - 1
 
@@ -147,54 +143,38 @@ def must_run(command, folder, **options):
     return done.stdout
 
 
-def _defines(compensator, samples, every):
+def _built(folder, name, text, *command, link=()):
+    """Compile a program of an export, and apart from it the core, whose objects compilers remember."""
+    (folder / f"{name}.c").write_text(text)
+    must_run([*command, "-c", "dehyst.c"], folder)
+    must_run([*command, f"{name}.c", "piezo.c", "dehyst.o", *link, "-o", name], folder)
+    return name
+
+
+def _built_for_board(folder, name, text):
+    """Compile it for the emulated Cortex-M4, with its unit."""
+    for file, content in BOARD.items():
+        (folder / file).write_text(content)
+    link = ["start.S", "--specs=rdimon.specs", "-T", "board.ld"]
+    return _built(folder, name, text, "arm-none-eabi-gcc", *STRICT, *CORTEX_M4F, link=link)
+
+
+def _driver(compensator, samples, every):
     middle, half = spread(compensator)
-    return [f"-DSAMPLES={samples}L", f"-DEVERY={every}L", f"-DMIDDLE={middle.hex()}", f"-DHALF={half.hex()}"]
+    given = {"SAMPLES": f"{samples}L", "EVERY": f"{every}L", "MIDDLE": middle.hex(), "HALF": half.hex()}
+    return "".join(f"#define {name} {value}\n" for name, value in given.items()) + DRIVER
 
 
-@cache
-def _compiled(command, files):
-    """Object files of an export's core, which has no model's numbers: compiled once for a command and a content."""
-    folder = Path(tempfile.mkdtemp(dir=_BUILT.name))
-    for name, text in files:
-        (folder / name).write_text(text)
-    sources = [name for name, _ in files if name.endswith(".c")]
-    must_run([*command, "-c", *sources], folder)
-    return [str(folder / f"{name[:-2]}.o") for name in sources]
-
-
-def _core(folder, *command):
-    return _compiled(command, tuple((path.name, path.read_text()) for path in sorted(folder.glob("dehyst*.[ch]"))))
-
-
-def driven(folder, compensator, samples, *, every, compiler="gcc", options=("-O2",), program=DRIVER):
+def driven(folder, compensator, samples, *, every, compiler="gcc", options=("-O2",)):
     """Lines that DRIVER prints, compiled for this computer."""
-    (folder / "driver.c").write_text(program)
-    defines = _defines(compensator, samples, every)
-    command = [compiler, *STRICT, *options]
-    must_run([*command, *defines, "driver.c", "piezo.c", *_core(folder, *command), "-o", "driver"], folder)
-    return must_run(["./driver"], folder).splitlines()
+    name = _built(folder, "driver", _driver(compensator, samples, every), compiler, *STRICT, *options)
+    return must_run([f"./{name}"], folder).splitlines()
 
 
 def emulated(folder, compensator, samples, *, every):
     """The same on an emulated Cortex-M4, doubles by software and floats by its unit."""
-    for name, content in (("driver.c", DRIVER), *BOARD.items()):
-        (folder / name).write_text(content)
-    defines = _defines(compensator, samples, every)
-    link = ["start.S", "--specs=rdimon.specs", "-T", "board.ld"]
-    command = ["arm-none-eabi-gcc", *STRICT, *CORTEX_M4F]
-    must_run([*command, *defines, "driver.c", "piezo.c", *_core(folder, *command), *link, "-o", "driver.elf"], folder)
-    return must_run([*QEMU, "driver.elf"], folder).splitlines()
-
-
-def _built_for_board(folder, source, text, *flags):
-    """Compile a program of an exported folder for the emulated Cortex-M4, with its unit."""
-    for name, content in ((f"{source}.c", text), *BOARD.items()):
-        (folder / name).write_text(content)
-    link = ["start.S", "--specs=rdimon.specs", "-T", "board.ld"]
-    command = ["arm-none-eabi-gcc", *STRICT, *CORTEX_M4F, *flags, f"{source}.c", *SOURCES, *link]
-    must_run([*command, "-o", f"{source}.elf"], folder)
-    return f"{source}.elf"
+    name = _built_for_board(folder, "driver", _driver(compensator, samples, every))
+    return must_run([*QEMU, name], folder).splitlines()
 
 
 def instructions(folder, given):

@@ -13,7 +13,7 @@ import nptdms
 import numpy as np
 import openpyxl
 import scipy.io
-from laboratory_files import UM, N, T, V, Y, rows
+from laboratory_files import FILES, UM, N, T, V, Y, rows
 
 Writer = Callable[[Path], None]
 # A small actuator, whose stroke in nm is that of a large one in um.
@@ -126,4 +126,24 @@ TWINS: dict[str, tuple[Writer, str]] = {
         "",
     ),
     "metres.csv": (text("time_s,voltage_V,displacement_m", T, V, Y, number="%.15g"), ""),
+}
+
+
+def write_sound(folder: Path) -> None:
+    """Write files of each suffix; most state all that is needed."""
+    np.savez_compressed(folder / "packed.npz", time_s=T, voltage_V=V, displacement_um=UM)
+    with h5py.File(folder / "packed.hdf5", "w", libver="latest") as file:
+        more: list[dict[str, Any]] = [{"compression": "gzip", "shuffle": True}, {"fletcher32": True}, {}]
+        for name, values, options in zip(SECONDS.split(","), (T, V, UM), more, strict=True):
+            file.create_dataset(name, data=values, chunks=(50,), **options)
+    for name, (write, words) in {**FILES, **TWINS, **PLAIN}.items():
+        if not words:
+            write(folder / name)
+
+
+# Formats that no instrument writes.
+PLAIN: dict[str, tuple[Writer, str]] = {
+    "tabs.tsv": (text(SECONDS.replace(",", "\t"), T, V, UM, sign="\t"), ""),
+    "spaces.dat": (text(SECONDS.replace(",", " "), T, V, UM, sign=" "), ""),
+    "utf16.txt": (lambda path: path.write_text(f"{SECONDS}\n{rows(T, V, UM)}", "utf-16"), ""),
 }

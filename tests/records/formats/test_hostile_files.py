@@ -11,6 +11,7 @@ from laboratory_files import text
 import dehyst
 from dehyst._errors import RecordError
 from dehyst.records import Record, read
+from examples import at_night
 
 N = 200
 T = np.arange(N) * 1e-3
@@ -77,9 +78,8 @@ def test_times_that_no_clock_tells_apart():
 # By dice
 
 
-@pytest.mark.parametrize("count", [120, pytest.param(10_000, marks=pytest.mark.fuzz)])
+@pytest.mark.parametrize("count", [60, at_night(600), pytest.param(10_000, marks=pytest.mark.fuzz)])
 def test_mutated_files(monkeypatch, count):
-    """A small share of `python tests/fuzz/files.py`."""
     monkeypatch.syspath_prepend(places.FUZZ)
     import files
 
