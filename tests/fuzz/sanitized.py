@@ -38,24 +38,11 @@ def build(folder):
     package = folder / "overlay" / "dehyst"
     nanobind = _run([sys.executable, "-m", "nanobind", "--cmake_dir"]).strip()
     flags = " ".join(SANITIZE)
-    _run(
-        [
-            "cmake",
-            "-S",
-            REPOSITORY,
-            "-B",
-            folder / "objects",
-            "-DCMAKE_BUILD_TYPE=None",
-            "-DSKBUILD_PROJECT_NAME=dehyst",
-            f"-Dnanobind_DIR={nanobind}",
-            f"-DPython_EXECUTABLE={sys.executable}",
-            "-DCMAKE_C_COMPILER=gcc",
-            "-DCMAKE_CXX_COMPILER=g++",
-            f"-DCMAKE_C_FLAGS={flags}",
-            f"-DCMAKE_CXX_FLAGS=-O1 {flags}",
-            f"-DCMAKE_MODULE_LINKER_FLAGS={flags}",
-        ]
-    )
+    defined = {"CMAKE_BUILD_TYPE": "None", "SKBUILD_PROJECT_NAME": "dehyst", "nanobind_DIR": nanobind}
+    defined |= {"Python_EXECUTABLE": sys.executable, "CMAKE_C_COMPILER": "gcc", "CMAKE_CXX_COMPILER": "g++"}
+    defined |= {"CMAKE_C_FLAGS": flags, "CMAKE_CXX_FLAGS": f"-O1 {flags}", "CMAKE_MODULE_LINKER_FLAGS": flags}
+    options = [f"-D{name}={value}" for name, value in defined.items()]
+    _run(["cmake", "-S", REPOSITORY, "-B", folder / "objects", *options])
     _run(["cmake", "--build", folder / "objects"])
     shutil.rmtree(package, ignore_errors=True)
     package.mkdir(parents=True)

@@ -95,9 +95,9 @@ VOLTAGE = 50 - 50 * np.cos(2 * np.pi * 0.5 * TIME)
 RNG = np.random.default_rng(0)
 
 
-def of(residual):
+def of(residual, voltage=VOLTAGE):
     zero = np.zeros(TIME.size)
-    return remaining_error(Trace("a", "training", TIME, VOLTAGE, zero + residual, zero))
+    return remaining_error(Trace("a", "training", TIME, voltage, zero + residual, zero))
 
 
 @pytest.mark.parametrize(
@@ -129,9 +129,7 @@ def test_harmonics_of_a_periodic_voltage_are_the_model_s():
 
 def test_a_line_far_above_a_slow_voltage_is_a_vibration():
     slow = 50 - 50 * np.cos(2 * np.pi * 0.2 * TIME)
-    zero = np.zeros(TIME.size)
-    found = remaining_error(Trace("a", "training", TIME, slow, zero + 1e-8 * np.sin(2 * np.pi * 6.2 * TIME), zero))
-    assert found.frequency == pytest.approx(6.2, abs=0.05)
+    assert of(1e-8 * np.sin(2 * np.pi * 6.2 * TIME), slow).frequency == pytest.approx(6.2, abs=0.05)
 
 
 def test_nothing_left_has_no_cause():

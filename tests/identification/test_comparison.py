@@ -7,16 +7,15 @@ import numpy as np
 import plain_records
 import pytest
 import structured_records as wide
-import tracking_trials
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dehyst import Actuator, Dynamics, Record, identify
+from dehyst import Dynamics, Record, identify
 from dehyst._native import slip_elongations
 from dehyst.identification.comparison import compare, errors_of, initial_state, state_after, without_offset
 from dehyst.identification.preparation import block_of, prepare
 from dehyst.identification.start_state import fit_start
-from dehyst.model import MaxwellSlip, Spring
+from dehyst.model import MaxwellSlip
 from dehyst.records.signals import bandwidth
 
 EXACT = 1e-9
@@ -81,7 +80,7 @@ def test_a_record_cut_after_its_start_goes_on_from_its_lead(name):
 def swung(resonance=300.0, delay=0):
     """A record of an actuator with inertia, driven at 50 Hz, so many samples late."""
     actuator = replace(plain_records.plant(20, seed=2), dynamics=Dynamics(resonance, 0.05))
-    v = tracking_trials.tops(12, 100)
+    v = plain_records.falling_tops(12, 100)
     time = 1e-4 * np.arange(v.size)
     late = np.concatenate([np.full(delay, v[0]), v])[: v.size]
     start = actuator.relaxed()
@@ -161,32 +160,15 @@ def test_a_lead_without_a_cycle_tells_what_it_can(name):
     assert plant.actuator.voltage(state) == pytest.approx(left[0], abs=1e-9)
 
 
-STROKE = 10e-6
-DELAY = 4e-3
-
-
-def voltage(seconds, rate, seed):
-    """Raised cosines of 1 Hz between random turns, in 0..100 V; the first two cycles are full."""
-    rng = np.random.default_rng(seed)
-    turns = [0.0, 100.0, 0.0, 100.0, 0.0]
-    while len(turns) < 2 * seconds + 1:
-        turns += [rng.uniform(50, 100), rng.uniform(0, 40)]
-    turns = np.array(turns[: 2 * seconds + 1])
-    phase = np.arange(seconds * rate) / rate * 2
-    branch = phase.astype(int)
-    return turns[branch] + (turns[branch + 1] - turns[branch]) * 0.5 * (1 - np.cos(np.pi * (phase - branch)))
-
-
-def truth():
-    rho = STROKE / 2 * np.array([0.06, 0.2, 0.45, 0.8])
-    slip = MaxwellSlip(rho, 1e6 * np.array([2.0, 1.2, 0.8, 0.5]))
-    return Actuator(slip, Spring([-0.2 * STROKE, 1.5 * STROKE], 7e6 * np.array([-0.2 * STROKE, 1.5 * STROKE])))
+STROKE, DELAY = plain_records.STROKE, 4e-3
 
 
 def recorded(seconds, rate, seed, noise):
-    time = np.arange(seconds * rate) / rate
-    v = voltage(seconds, rate, seed)
-    late = truth().simulate(np.interp(time - DELAY, time, v)).displacement
+    """A record of branches of half a second between random turns, 4 ms late; the first two cycles are full."""
+    turns = np.random.default_rng(seed).uniform([0.5, 0.0], [1.0, 0.4], (seconds - 2, 2)).ravel()
+    v = plain_records.VOLTS / STROKE * plain_records.path([0, 1, 0, 1, 0, *turns], rate // 2)[:-1]
+    time = np.arange(v.size) / rate
+    late = plain_records.plant(4).simulate(np.interp(time - DELAY, time, v)).displacement
     return Record(time, v, late + noise * STROKE * np.random.default_rng(seed + 1).normal(size=time.size))
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import plain_records
 import pytest
 import structured_records as wide
-import tracking_trials
 
 from dehyst import Dynamics, Record
 from dehyst.identification import Structure, search
@@ -62,7 +61,7 @@ DYNAMICS = Dynamics(300.0, 0.05)
 @cache
 def driven(dynamics=None, *, delay=0, noise=NOISE):
     """Descending tops at 50 Hz behind a resonance, the displacement so many samples late."""
-    v = tracking_trials.tops(12, round(PERIOD / FAST / 2))
+    v = plain_records.falling_tops(12, round(PERIOD / FAST / 2))
     time = np.arange(v.size) * FAST
     late = np.concatenate([np.full(delay, v[0]), v])[: v.size]
     actuator = replace(PLANT, dynamics=dynamics)
@@ -100,7 +99,7 @@ def test_a_low_pass_as_slow_as_the_cycles_is_a_lag():
 
 def test_slow_cycles_show_no_resonance():
     """A thousand samples a cycle: what has a mass then is the sensor's noise."""
-    v = tracking_trials.tops(3, 600)
+    v = plain_records.falling_tops(3, 600)
     y = PLANT.simulate(v, state=PLANT.relaxed()).displacement
     _, names = found([Record(np.arange(v.size) * FAST, v, y)])
     assert "inertia" not in names

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from plain_records import assert_close
 
 from dehyst import Actuator, MaxwellSlip, ModelError, Spring, State
-from dehyst.model import GradedSlip, evaluator_of, turned
+from dehyst.model import GradedSlip, evaluator_of
 from examples import examples
 
 RANGE = 1e-12
@@ -139,24 +139,6 @@ def test_simulate_agrees_with_the_oracle(stack, motion, seed):
     assert_same_state(got.state, reached(known), metres)
 
 
-@STACKS
-@given(motion=our.motions(max_samples=200), seed=our.SEEDS, cuts=st.lists(st.floats(0, 1), max_size=4))
-@example(motion=barely_nested(), seed=0, cuts=[0.0, 0.4])
-def test_a_record_may_be_cut_anywhere(stack, motion, seed, cuts):
-    actuator, start, path = motion
-    v = our.voltages_like(actuator, start, path, seed)
-    for run, given_in in ((actuator.compensate, path), (actuator.simulate, v)):
-        whole = run(given_in, state=start, stack=stack, extrapolate=True)
-        state, parts = start, []
-        for part in np.split(given_in, sorted(int(cut * len(given_in)) for cut in cuts)):
-            parts.append(run(part, state=state, stack=stack, extrapolate=True))
-            state = parts[-1].state
-        volts, metres = (0.1 * size for size in scales(actuator, start, whole.displacement, whole.voltage))
-        assert_close(np.concatenate([part.voltage for part in parts]), whole.voltage, volts)
-        assert_close(np.concatenate([part.displacement for part in parts]), whole.displacement, metres)
-        assert_close(state.carts, whole.state.carts, metres)
-
-
 @given(our.motions(our.actuators(1, 12), max_samples=0), our.SEEDS, st.sampled_from([0.01, 0.3, 1.0, 2.0, 4.0]))
 def test_jitter_about_the_width_in_which_nothing_slides_changes_no_answer(motion, seed, share):
     """Below it the stack does not turn at all; at it, every way back is a close question."""
@@ -206,29 +188,6 @@ def test_states_rest_where_they_say(motion, seed):
     relaxed = actuator.relaxed(v, extrapolate=True)
     assert_close(actuator.voltage(relaxed), v, volts + 1e-12 * abs(v))
     assert np.ptp(np.append(relaxed.carts, relaxed.deformation)) == 0
-
-
-@given(actuator=our.actuators(1, 12), seed=our.SEEDS, width=st.floats(0.1, 3))
-def test_dissipation_of_graded_elements(actuator, seed, width):
-    """A loop loses what friction takes: rho_i psi_i' |db_i| of each cart that slides, here to and fro."""
-    wider = our.make_wider(actuator, seed, graded=True, transformer=False, creep=False)
-    slip, knots = wider.slip, wider.spring.displacement
-    rho, bottom = slip.breakaway, float(np.mean(knots)) - width * slip.breakaway[-1]
-    top = bottom + 2 * width * rho[-1]
-    bends = np.concatenate(
-        [(slip.knots[:, None] + np.append(0, [-rho, rho])).ravel(), knots, top - 2 * rho, bottom + 2 * rho]
-    )
-    ticks = np.unique(np.append(bends.clip(bottom, top), [bottom, top]))
-    loop = np.concatenate([ticks, ticks[-2::-1]])
-    v = wider.compensate(
-        np.concatenate([loop, loop]), state=turned(wider, bottom, rising=False), extrapolate=True
-    ).voltage[loop.size :]
-    area = float(np.sum(0.5 * (v[1:] + v[:-1]) * np.diff(loop)))
-    low, high = bottom + rho, np.maximum(top - rho, bottom + rho)
-    lost = float(2 * rho @ (slip.internal_voltage(high) - slip.internal_voltage(low)))
-    volts = scales(wider, turned(wider, bottom), loop, v)[0] / 3
-    assert lost >= 0
-    assert_close(area, lost, loop.size * volts * (top - bottom))
 
 
 def outer_slopes(slip, spring, y):

@@ -85,26 +85,6 @@ def test_elongations_agree_with_an_ode_solver(closing):
         assert abs(got - q) < 1e-7 * 0.7  # the right-hand side has a corner that the solver steps over
 
 
-@given(our.SEEDS, st.integers(2, 40))
-def test_an_element_only_takes_work(seed, samples):
-    """From none elongated, the work done on it is at least what it can give back, and it is never longer than it is.
-
-    It can give back int r / (1 + rate r) dr, r from 0 to |q|, rate = (2 closing - 1) / length. Along the motion q is
-    concave, so that the trapezoidal rule gives too little: at most the sum of h^3 / 12 of its curvature, 2 / length.
-    """
-    smooth = our.make_smooth(seed, 1.0, 1.0, 1)
-    length, rate = smooth.length[0], (2 * smooth.closing[0] - 1) / smooth.length[0]
-    turns = np.random.default_rng(seed).normal(size=samples)
-    path = np.interp(np.linspace(0, samples - 1, 400 * (samples - 1) + 1), np.arange(samples), turns)
-    q = smooth.elongations(path)[:, 0]
-    assert np.abs(q).max() <= length
-    h = np.abs(np.diff(path))
-    lacking = np.minimum(h**3 / (6 * length), 4 * h * length).sum()
-    r = np.linspace(0, abs(q[-1]), 2001)
-    stored = np.trapezoid(r / (1 + rate * r), r)
-    assert np.sum(np.diff(path) * (q[1:] + q[:-1]) / 2) + lacking >= stored * (1 - 1e-6) - EXACT * length * h.sum()
-
-
 @pytest.mark.parametrize("seed", range(60))
 def test_the_equation_holds_to_its_rounding(seed):
     """Wherever knots crowd and whatever slopes meet: no more is left than one rounding of what is held there."""

@@ -54,6 +54,12 @@ def path(turns, samples=100):
     return STROKE * np.concatenate([[float(turns[0])], *branches])
 
 
+def falling_tops(steps, samples):
+    """Voltages [V] (n,): two major loops, then tops that descend to naught, each branch as long as the others."""
+    lower = [1 - k / steps for k in range(steps)]
+    return VOLTS / STROKE * path([0, *([1, 0] * 2), *(v for top in lower for v in (top, 0))], samples)
+
+
 def any_state(actuator, displacement, seed):
     """Carts wherever they can be: no history needs to lead there."""
     rho = actuator.slip.breakaway

@@ -200,10 +200,10 @@ def _list_commands(*_):
 def _write_wave(controller, words):
     """Do WAV table X|& shape ...: write a table, or append to it."""
     number, how, kind = _whole(words[0], 1, len(controller.tables)), words[1].upper(), words[2].upper()
-    _demand(how in ("X", "&") and kind in ("PNT", "SIN_P"), GcsError.PARAMETER_RANGE)
+    _demand(how in ("X", "&") and kind == "PNT", GcsError.PARAMETER_RANGE)
     for axis in controller.axes:
         _demand(axis.table != number or not axis.bench.playing, GcsError.WAVE_RUNNING)
-    segment = _points(words[3:]) if kind == "PNT" else _cosine(words[3:])
+    segment = _points(words[3:])
     ranges = (axis.bench.limits for axis in controller.axes)
     if not any(low <= segment.min() and segment.max() <= high for low, high in ranges):
         controller.axes[0].bench.log.refused += 1
@@ -218,17 +218,6 @@ def _points(words):
     _demand(len(words) >= 3 and _whole(words[0]) >= 0, GcsError.PARAMETER_COUNT)
     _demand(len(words) == 2 + _whole(words[1], 1, _LONGEST_SEGMENT), GcsError.PARAMETER_COUNT)
     return np.array([_real(word) for word in words[2:]])
-
-
-def _cosine(words):
-    """Read one raised cosine: SIN_P size amplitude offset length start centre."""
-    _demand(len(words) == 6, GcsError.PARAMETER_COUNT)
-    size, amplitude, offset = _whole(words[0], 1, _MOST), _real(words[1]), _real(words[2])
-    length = _whole(words[3], 1, size)
-    start, centre = _whole(words[4], 0, size), _whole(words[5], 1, length - 1)
-    point = np.clip(np.arange(size, dtype=np.float64) - start, 0, length)
-    phase = np.interp(point, [0.0, centre, length], [0.0, 0.5, 1.0])
-    return offset + amplitude * 0.5 * (1 - np.cos(2 * np.pi * phase))
 
 
 def _wave_length(controller, words):

@@ -6,7 +6,6 @@ The faults are those of `benchmarks/faults.py`; each test looks at one of them.
 import json
 import re
 import signal
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import faults
@@ -47,33 +46,6 @@ UNCOUNTED = ("kill", "full")
 CASES = {case.name: case for case in faults.CASES}
 
 
-class Rehearsals:
-    """Outcomes of faults; some are rehearsed ahead of their tests, while others wait for answers that do not come."""
-
-    AT_ONCE = 4
-
-    def __init__(self, names, pool):
-        self.names, self.pool, self.running = names, pool, {}
-
-    def __getitem__(self, name):
-        at = self.names.index(name)
-        for each in self.names[at : at + self.AT_ONCE]:
-            if each not in self.running:
-                self.running[each] = self.pool.submit(faults.rehearse, CASES[each])
-        return self.running[name].result()
-
-
-@pytest.fixture(scope="module")
-def rehearsed(request):
-    asked = [
-        item.callspec.params["name"]
-        for item in request.session.items
-        if item.path == request.path and "rehearsed" in item.fixturenames
-    ]
-    with ThreadPoolExecutor(Rehearsals.AT_ONCE) as pool:
-        yield Rehearsals(asked, pool)
-
-
 def test_these_faults_were_rehearsed_and_each_is_looked_at():
     told = json.loads(Path(faults.__file__).with_name("faults.json").read_text())
     assert {name: fault["words"] for name, fault in told.items()} == {case.name: case.words for case in faults.CASES}
@@ -87,8 +59,8 @@ PUSHED = ("astray", "interrupt")
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name in PUSHED else pytest.mark.nightly) for name in SAID]
 )
-def test_a_fault(rehearsed, name):
-    found, (status, note) = rehearsed[name], SAID[name]
+def test_a_fault(name):
+    found, (status, note) = faults.rehearse(CASES[name]), SAID[name]
     told = "\n".join(found.said)
     assert "Traceback" not in told and 'File "' not in told
     assert found.status == status, told
