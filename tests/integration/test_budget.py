@@ -40,7 +40,7 @@ HOUSE = {
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2716,
-    "lines of tests": 30323,
+    "lines of tests": 29901,
     "lines of benchmarks": 4946,
     "words of docs": 27346,
     "public names": 110,
