@@ -1,4 +1,4 @@
-"""Waveforms: voltages that excite an actuator, and scans for it to follow."""
+"""Waveforms: voltages that excite an actuator, and scans that it follows."""
 
 from dehyst.waveforms import standard
 from dehyst.waveforms.excitation import STEEPEST, Branch, Excitation, Sampling, positive, volts

@@ -16,7 +16,7 @@ from dehyst._types import Array
 from dehyst._validation import Numbers, interval, keep
 
 _MOST_SAMPLES = 50_000_000
-# No actuator or amplifier goes beyond, and within them nothing overflows.
+# No actuator or amplifier exceeds this voltage, and no computation within it overflows.
 _MOST_VOLTS = 1e6
 
 
@@ -28,7 +28,7 @@ def refuse_long(samples: int, rate: float) -> None:
         raise RecordError(got=got, need=f"{_MOST_SAMPLES:g} at most", hint=hint, change=("sample_rate", "slew_rate"))
 
 
-# Checks of voltages [V] that are given, of one, and of a positive number.
+# Checks of given voltages [V], of a single voltage, and of a positive number.
 voltages = Numbers(1, least=-_MOST_VOLTS, most=_MOST_VOLTS, hint="give voltages in V", error=RecordError)
 volts = replace(voltages, dimensions=0)
 positive = Numbers(least=1e-12, most=1e12, error=RecordError)
@@ -41,10 +41,10 @@ class Excitation:
     Parameters
     ----------
     name : str
-        Its kind.
+        Kind of the excitation.
     voltage : (n,) or (n, axes) array_like
-        Voltage [V], n >= 2, with one column for each of several axes; kept as a read-only copy. `RecordError` for
-        anything else.
+        Voltage [V], n >= 2, with one column for each of several axes; kept as a read-only copy. Other shapes raise
+        `RecordError`.
     sample_rate : float
         [Hz].
     warnings : tuple of str
@@ -107,14 +107,14 @@ class Excitation:
 _CYCLE_SAMPLES, _BRANCH_SAMPLES = 400, 4
 # Largest slope of a branch over its mean slope.
 STEEPEST = math.pi / 2
-# The share of the largest voltage that rounding may add to a step: the cosine's argument, up to 2 pi, rounded twice.
+# Rounding may add this share of the largest voltage to a step: the argument of the cosine is rounded twice.
 _ROUNDING = 32 * float(np.finfo(np.float64).eps)
-# A slew rate may be exceeded by this share, so that a branch that meets it exactly is not changed.
+# A branch may exceed the slew rate by this share, so that rounding does not change a branch at the slew rate.
 _SLACK = 9e-10
 
 
 class Branch(NamedTuple):
-    """A monotone stretch of a voltage from `start` to `end` [V], or a hold; `seconds`: as `requested`, or free."""
+    """A monotone part of a voltage from `start` to `end` [V], or a hold; `requested`: whether `seconds` was given."""
 
     start: float
     end: float
@@ -131,7 +131,7 @@ class Branch(NamedTuple):
         share = 0.5 - 0.5 * np.cos(np.pi * (k if rising else k + count) / count)
         values = np.clip(low + (high - low) * share, low, high)
         values[-1] = self.end
-        # Near a turning point rounding can swap neighbours.
+        # Near a turning point rounding can reverse the order of two samples.
         return np.maximum.accumulate(values) if rising else np.minimum.accumulate(values)
 
 
@@ -142,25 +142,25 @@ class Sampling:
     Parameters
     ----------
     frequency : float
-        Cycles per second [Hz]; a branch between two turning points takes half a cycle, regardless of its height, to the
-        nearest sample, and is half a cosine (paper, Sec. 3).
+        Cycles per second [Hz]. A branch between two turning points is half a cosine (paper, Sec. 3); it takes half a
+        cycle, to the nearest sample, whatever its height.
     sample_rate : float, optional
-        [Hz]; by default 400 samples a cycle, and 1000 of the recommended excitation.
+        [Hz]; by default 400 samples per cycle, or 1000 for the recommended excitation.
     base : float
         Voltage [V] at which a protocol starts and ends.
     present : float, optional
-        Voltage [V] on the actuator now, if that is not the base: a ramp of half a cycle at most leads to the base.
+        Present voltage [V] of the actuator, by default the base; a ramp of half a cycle at most leads to the base.
     limits : (float, float), optional
-        Lowest and highest voltage [V] allowed. A voltage outside is an error, because clipped tops would be another
-        protocol.
+        Lowest and highest voltage [V] allowed. A voltage outside is an error and not clipped, as clipped tops would
+        change the protocol.
     slew_rate : float, optional
-        Largest abs(dv/dt) [V/s]; branches that would be steeper take longer, with a warning.
+        Largest abs(dv/dt) [V/s]; steeper branches are made slower, with a warning.
 
     Raises
     ------
     RecordError
-        If a number is not finite, frequency, sample rate or slew rate are not positive, there are fewer than 8 samples
-        a cycle, or the limits are no interval or do not include base and present voltage.
+        If a number is not finite, frequency, sample rate or slew rate are not positive, a cycle has fewer than 8
+        samples, or the limits are not an interval or do not include base and present voltage.
     """
 
     frequency: float = 0.01
@@ -187,7 +187,7 @@ class Sampling:
 
     @property
     def rate(self) -> float:
-        """Samples a second [Hz]."""
+        """Sample rate [Hz]."""
         return _CYCLE_SAMPLES * self.frequency if self.sample_rate is None else self.sample_rate
 
     @property
@@ -220,10 +220,10 @@ class Sampling:
         return [Branch(a, b, self.half) for a, b in pairwise(path)]
 
     def play(self, name: str, branches: Sequence[Branch]) -> Excitation:
-        """Return the excitation `name` of successive `branches`; all checks come before memory is allocated.
+        """Return the excitation `name` of successive `branches`; it is checked before memory is allocated.
 
         Raise `RecordError` if a voltage lies outside of the limits, there are more than 5e7 samples, or the slew rate
-        is so low that steps between samples are lost in rounding.
+        is so low that rounding loses the steps between samples.
         """
         ends = [branches[0].start, *(branch.end for branch in branches)]
         self._refuse_outside(ends, name)

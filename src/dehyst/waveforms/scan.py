@@ -17,17 +17,17 @@ from dehyst._types import Array
 from dehyst._validation import Numbers, choice, count, keep, vector
 from dehyst.waveforms.excitation import positive, refuse_long
 
-# Samples a period, as `Sampling` has by default, and the fewest for each part of a period.
+# Default number of samples of a period, as in `Sampling`; least number for each part of a period.
 CYCLE_SAMPLES, BRANCH_SAMPLES = 400, 4
-# Largest speed and acceleration of the least jerk, over height per time and per time squared.
+# Largest speed and acceleration of a motion of least jerk, as multiples of height / time and height / time squared.
 FASTEST, HARDEST = 1.875, 10 / sqrt(3)
-# A limit may be exceeded by this share, so that a motion that meets it exactly passes.
+# A motion may exceed a limit by this share, so that rounding does not refuse a motion at the limit.
 SLACK = 1e-9
 # Largest whole number.
 _MOST_WHOLE = 10**7
 
 
-# Checks of a displacement [m], and of a part of a whole.
+# Checks of a displacement [m], and of a share.
 length = Numbers(least=-1.0, most=1.0, hint="check its unit", error=RecordError)
 share = Numbers(least=1e-12, most=1.0, error=RecordError)
 
@@ -47,13 +47,13 @@ def whole(value: object, what: str, least: int = 1) -> int:
 
 
 def rounded(value: float, towards: Callable[[float], int]) -> str:
-    """Write a positive number with four digits, rounded by `floor` or `ceil`, so that a message's value is possible."""
+    """Write a positive number with four digits, rounded by `floor` or `ceil`: the limits allow a suggested value."""
     unit = 10.0 ** (floor(log10(value)) - 3)
     return f"{towards(value * (1 - 1e-6 if towards is floor else 1 + 1e-6) / unit) * unit:.6g}"
 
 
 def samples_of(seconds: float, rate: float) -> int:
-    """Return the samples of a duration [s], rounded up; raise `RecordError` for too few for a branch, or over 5e7."""
+    """Return the number of samples of a duration [s], rounded up; raise `RecordError` for under 4 or over 5e7."""
     samples = seconds * rate * (1 - 1e-12)
     if samples > BRANCH_SAMPLES - 1:
         refuse_long(int(min(samples, 1e15)) + 1, rate)
@@ -68,7 +68,7 @@ def samples_of(seconds: float, rate: float) -> int:
 
 
 class ScanOption(NamedTuple):
-    """An option of scans, declared as the annotation of a field; its `kind` follows from the field's type."""
+    """An option of scans, declared in the annotation of a field; the type of the field gives the `kind`."""
 
     unit: str
     help: str
@@ -77,7 +77,7 @@ class ScanOption(NamedTuple):
     kind: type | tuple[str, ...] | str = float
 
     def in_si(self, value: Any) -> Any:
-        """Return a value, or several, in metres instead of `unit`."""
+        """Return a value, or several values, converted from `unit` to SI."""
         if not self.unit.startswith("um") or isinstance(value, str | None):
             return value
         return tuple(1e-6 * each for each in value) if isinstance(value, list | tuple) else 1e-6 * value
@@ -164,7 +164,7 @@ class Edge:
 
     def at(self, time: Array) -> Travel:
         """Return the motion at times (n,) [s] from its start."""
-        # Counted from the nearer end, so that both ends are met exactly.
+        # The time counts from the nearer end, so that the motion is exact at both ends.
         late = time > 0.5 * self.seconds
         since = np.clip(np.where(late, self.seconds - time, time), 0.0, None)
         share, v = np.clip(since / self.blend, 0.0, 1.0), self.speed
@@ -175,12 +175,12 @@ class Edge:
 
 
 def least_blend(height: float, seconds: float, acceleration: float) -> float:
-    """Return the shortest rounded end [s] within the acceleration [m/s^2], or half of the seconds if there is none.
+    """Return the shortest `blend` [s] within the acceleration [m/s^2]; half of the seconds if no blend is possible.
 
-    From ``acceleration blend (seconds - blend) = height``.
+    It solves ``acceleration blend (seconds - blend) = height``.
     """
     square = seconds**2 - 4 * height / acceleration
-    # The smaller root, without a difference of two nearly equal numbers.
+    # This form of the smaller root has no difference of two nearly equal numbers.
     blend = 2 * height / acceleration / (seconds + sqrt(max(square, 0.0)))
     return min(blend, 0.5 * seconds)
 
@@ -217,7 +217,7 @@ class ScanPath:
     sample_rate : float
         [Hz].
     periodic : bool
-        Whether the first sample follows the last one again.
+        Whether the path continues from the last sample to the first sample.
 
     Raises
     ------
@@ -236,7 +236,7 @@ class ScanPath:
             row = vector(getattr(self, name), name, error=RecordError)
             if not row.size or row.size != np.size(self.displacement):
                 got = f"{row.size} values for {np.size(self.displacement)} displacements"
-                raise RecordError(argument=name, got=got, need="as many, and one at least")
+                raise RecordError(argument=name, got=got, need="the same number, at least one")
             keep(self, **{name: row})
         keep(self, sample_rate=positive(self.sample_rate, "sample_rate"))
 
@@ -272,7 +272,7 @@ class ScanPath:
 
 
 class Scan(ABC):
-    """A path for each axis (`axes`: their names), whose fields are its options.
+    """A path for each axis (`axes`: names of the axes); the fields are the options of the scan.
 
     Fields of most scans: `frequency`: periods per second [Hz]. `speed` [m/s], `acceleration` [m/s^2]: largest allowed
     values of any axis. `sample_rate` [Hz]: by default 400 samples per cycle. The number of samples of a period is
@@ -298,7 +298,7 @@ class Scan(ABC):
 
     @property
     def rate(self) -> float:
-        """Samples a second [Hz]."""
+        """Sample rate [Hz]."""
         return self._usual_rate if self.sample_rate is None else self.sample_rate
 
     @property
@@ -322,7 +322,7 @@ class Scan(ABC):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Sentences about differences from the request."""
+        """Sentences about differences of the scan from the request."""
         requested = self.requested_period
         if requested is None or abs(self.period / requested - 1) <= 1e-9:
             return ()

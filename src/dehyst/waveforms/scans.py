@@ -31,10 +31,10 @@ class Triangle(Scan):
     low, high : float
         Turning points [m], met exactly.
     turns : float, optional
-        Share of the time of each branch that is spent turning, half of it at either end; above 0 and up to 1. By
+        Share of the time of each branch in which the path turns, half of it at either end; above 0 and up to 1. By
         default as short as the acceleration allows, or 0.1 without a limit.
     rising : float
-        Share of the period in which the path rises; other than 1/2: a saw-tooth.
+        Share of the period in which the path rises; 1/2 gives a triangle, another value a saw-tooth.
     """
 
     low: base.Low
@@ -50,7 +50,7 @@ class Triangle(Scan):
         super().__post_init__()
         base.between(self.low, self.high)
         if self.rising == 1:
-            need = "a share below 1, because the way back takes time"
+            need = "a share below 1, because the falling branch takes time"
             raise RecordError(argument="rising", got="1", need=need, hint="try 0.9")
         _ = self.branches
         what = f"a triangle of {self.height * 1e6:.6g} um at {self.frequency:.6g} Hz"
@@ -104,19 +104,19 @@ _EDGE_SAMPLES = 50
 
 @dataclass(frozen=True)
 class Steps(Scan):
-    """A path of least jerk from level to level that rests on each; it begins and ends at rest on the first level.
+    """A path of least jerk from level to level with a rest on each level; it begins and ends on the first level.
 
     By default the shortest edge has 50 samples. See `Scan` for the fields that are not listed.
 
     Parameters
     ----------
     levels : sequence of float
-        [m], 2 or more; no level twice in a row.
+        [m], 2 or more; two successive levels differ.
     dwell : float
-        Time on each level [s], to the next sample.
+        Time on each level [s], rounded up to a whole number of samples.
     edge : float, optional
-        Time from one level to the next [s]; by default each edge is as short as the limits allow, and an acceleration
-        is needed.
+        Time from one level to the next [s]; by default each edge is as short as the limits allow, which needs an
+        acceleration.
     """
 
     levels: Annotated[tuple[float, ...], ScanOption("um", "Levels of steps")]
@@ -148,7 +148,7 @@ class Steps(Scan):
 
     @property
     def frequency(self) -> float | None:  # type: ignore[override]
-        """None: the duration follows from the levels."""
+        """Always None: the levels determine the duration."""
         return None
 
     @property
@@ -190,7 +190,7 @@ class Steps(Scan):
         return [base.samples_of(seconds, self.rate) for seconds in self._seconds]
 
     def _least(self, height: float) -> float:
-        """Return the least seconds that the limits allow for an edge of this height [m]."""
+        """Return the least time [s] that the limits allow for an edge of this height [m]."""
         by_speed = 0.0 if self.speed is None else base.FASTEST * height / self.speed
         by_acceleration = 0.0 if self.acceleration is None else sqrt(base.HARDEST * height / self.acceleration)
         return max(by_speed, by_acceleration)
@@ -208,16 +208,16 @@ YHigh: TypeAlias = Annotated[
 
 @dataclass(frozen=True)
 class Raster(Scan):
-    """Lines along x, each forth and back, at positions along y from `y_low` to `y_high`; then back to the first line.
+    """Lines along x, each forward and back, at positions along y from `y_low` to `y_high`; then y returns.
 
     `low`, `high`, `frequency`, `turns` and `rising` define the `Triangle` along x; see `Scan` for the other fields.
 
     Parameters
     ----------
     lines : int
-        2 or more. y goes to the next line, with the least jerk, while x returns. After the last line y goes back to the
-        first one in the fewest lines within the limits, or without limits, within the largest speed and acceleration of
-        x.
+        2 or more. y moves to the next line, with least jerk, while x returns. After the last line y returns to the
+        first line in the least number of lines that the limits allow. Without limits, those are the largest speed and
+        acceleration of x.
     y_low, y_high : float, optional
         Positions of the first and the last line [m]; by default `low` and `high`.
     """
@@ -256,14 +256,14 @@ class Raster(Scan):
         """Periods of x after the last line, for the way back."""
         speed, acceleration = self.fast.peaks
         limits = MotionLimits(self.speed or speed, self.acceleration or acceleration)
-        # The longer it takes, the gentler it is.
+        # A longer return has a lower speed and acceleration.
         low, high = 0, 100 * self.lines - 1
         if limits.allow(self._return(high).peaks):
             while low < high:
                 middle = (low + high) // 2
                 low, high = (low, middle) if limits.allow(self._return(middle).peaks) else (middle + 1, high)
             return low
-        need = f"limits with which y comes back within {100 * self.lines} lines"
+        need = f"limits that let y return within {100 * self.lines} lines"
         raise RecordError(argument="acceleration", got=self.limits.words, need=need)
 
     @property
@@ -273,7 +273,7 @@ class Raster(Scan):
 
     @property
     def requested_period(self) -> float | None:
-        """Requested duration of a frame [s], with the way back."""
+        """Requested duration of a frame [s], including the return of y."""
         return (self.lines + self.pause) / self.frequency
 
     def _travel(self, axis: str) -> Travel:
@@ -294,11 +294,11 @@ class Raster(Scan):
 
     @property
     def _step(self) -> Step:
-        """Return y of a staircase from one line to the next, from 0."""
+        """Return the motion of y from one line to the next, counted from 0."""
         return Step(0.0, self._height / (self.lines - 1), self.fast.branches[1] / self.rate)
 
     def _return(self, back: int) -> Step:
-        """Return y on its way back to the first line, in `back` periods of x and the rest of the last line."""
+        """Return the motion of y to the first line, in `back` periods of x and the rest of the last line."""
         seconds = (back * self.fast.samples + self.fast.branches[1]) / self.rate
         low, high = self._ends
         return Step(high, low, seconds)

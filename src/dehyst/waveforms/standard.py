@@ -1,6 +1,6 @@
 """Standard excitations: voltages for the loops or creep of an actuator, for homing, and for a stage's coupling.
 
-All take `drive`, the speed and sampling. They raise `RecordError` if a voltage or a number is impossible or
+All functions take `drive`, the speed and sampling. They raise `RecordError` if a voltage or a number is impossible or
 outside of the limits, the record would have more than 5e7 samples, or the slew rate is too low for the sample rate.
 """
 
@@ -24,29 +24,29 @@ from dehyst._validation import count as whole
 from dehyst.waveforms.excitation import STEEPEST, Branch, Excitation, Sampling, positive, voltages, volts
 
 _PAPER, _PACE = Sampling(), Sampling(0.1)
-# The recommended excitation: major loops, falling tops, cycles that each of its two holds lasts, random turning points
-# at each of three speeds, number of the turning point that is held, and the largest speed over the smallest.
+# Recommended excitation: numbers of major loops and falling tops; duration of each of its two holds in cycles; numbers
+# of random turning points at each of three speeds; index of the turning point with a hold; ratio of the speeds.
 _LOOPS, _TOPS, _HOLD, _TURNS, _HELD, FASTER = 2, 5, 3.0, (12, 12, 24), 10, 25.0
-# Least samples of a cycle at the largest speed; samples of one at the smallest speed by default, as of `calibrate`.
+# Least number of samples of a cycle at the largest speed; default number at the smallest speed, also for `calibrate`.
 _FEWEST, _SAMPLES = 16, 1000
 _MOST_TURNS = 1_000_000
 _count = partial(whole, least=1, most=_MOST_TURNS // 4, error=RecordError)
-# Least height of a branch between random turning points, as a part of the range; its time, as a part of half a cycle.
+# Branches between random turning points: least height, as a part of the range; least time, as a part of half a cycle.
 _LEAST_BRANCH, _SHORT = 0.08, 0.3
-# Turning points of a path to follow, as fractions of the stroke: nine of them, no two alike.
+# Turning points of a wanted path, as fractions of the stroke: nine between its ends, all different.
 TURNS = (0.02, 0.95, 0.2, 0.7, 0.35, 0.85, 0.1, 0.6, 0.45, 0.9, 0.3)
-# Periods of the axes of a stage moving together, in those of the first one: powers of the plastic number repeat never.
+# Ratio of the periods of successive axes that move together (plastic number): no combination of phases repeats.
 RATIO = 1.3247179572447460
 
 
 def recommended(highest: float, *, drive: Sampling = _PACE) -> Excitation:
-    """Return the excitation for an identification, in one run of some 17 cycles: two holds, three speeds.
+    """Return the excitation for an identification: one run of about 17 cycles, with two holds and three speeds.
 
-    Two major loops, the second one with a hold at the top, and falling tops; then random turning points, always the
-    same ones: twelve with a second hold, the last ones 25 times as fast, or as slew rate and sample rate allow.
+    It has two major loops, the second one with a hold at the top, and loops with falling tops. Then come random turning
+    points, always the same: twelve slow ones with a second hold, the last ones up to 25 times as fast.
 
-    `highest` [V], above the base. `drive`: slowest speed, 0.1 Hz, and sampling, by default 1000 samples a slow cycle.
-    Raise `RecordError` as all others do.
+    `highest` [V], above the base. `drive`: slowest speed, by default 0.1 Hz, and sampling, by default 1000 samples per
+    slow cycle. Raise `RecordError` as all excitations do.
     """
     drive = replace(drive, sample_rate=drive.sample_rate or _SAMPLES * drive.frequency)
     top, hold = _top(highest, drive), _HOLD / drive.frequency
@@ -72,8 +72,8 @@ def recommended(highest: float, *, drive: Sampling = _PACE) -> Excitation:
 def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Sampling = _PAPER) -> Excitation:
     """Return cycles base -> peak -> base, ``v = base + (peak - base) (1 - cos(2 pi f t)) / 2`` (paper, Sec. 3).
 
-    `peaks`: one or (m,) voltages [V] above the base. `cycles`: number of cycles to each of them. `drive`: how it is
-    played. Raise `RecordError` as all excitations do.
+    `peaks`: one or (m,) voltages [V] above the base. `cycles`: number of cycles to each peak. `drive`: speed and
+    sampling. Raise `RecordError` as all excitations do.
     """
     several: Any = [peaks] if isinstance(peaks, Real) or getattr(peaks, "ndim", None) == 0 else peaks
     tops = voltages(several, "peaks")
@@ -86,10 +86,10 @@ def raised_cosine(peaks: ArrayLike, *, cycles: int = 1, drive: Sampling = _PAPER
 def descending_tops(highest: float, *, steps: int = 10, majors: int = 2, drive: Sampling = _PAPER) -> Excitation:
     """Return major cycles, then cycles with tops that fall from `highest` to 1/steps of it in equal steps.
 
-    With as many tops as elements, they determine every stiffness that loops can determine. The first cycle homes the
-    actuator from any state.
+    If there are as many tops as elements, they determine every stiffness that loops can determine. The first cycle
+    homes the actuator from any state.
 
-    `highest` [V], above the base, to which all cycles go down. `steps`: number of tops; the first top is `highest`.
+    `highest` [V], above the base, where all cycles end. `steps`: number of tops; the first top is `highest`.
     `majors`: number of cycles up to `highest` before the tops. `drive`: speed and sampling. Raise `RecordError` as all
     excitations do.
     """
@@ -103,10 +103,10 @@ def staircase(
 ) -> Excitation:
     """Return equal steps from the base up to `highest` and down again; a hold after each step shows creep.
 
-    All steps up take half a cycle. `highest` [V], above the base. `steps`: number of steps up, and down. `hold`: time
-    at each voltage [s], to the next sample; the last hold is at the base. `back`: whether one step back follows each
-    two steps; these inner loops at all levels determine stiffnesses that tops with returns to the base leave open.
-    `drive`: how it is played. Raise `RecordError` as all excitations do.
+    All steps up together take half a cycle. `highest` [V], above the base. `steps`: number of steps up, and down.
+    `hold`: time at each voltage [s], rounded up to a sample; the last hold is at the base. `back`: whether one step
+    back follows each two steps. These inner loops determine stiffnesses that cycles from the base do not determine.
+    `drive`: speed and sampling. Raise `RecordError` as all excitations do.
     """
     top, number, waiting = _top(highest, drive), _count(steps, "steps"), positive(hold, "hold")
     moving = drive.half / number
@@ -125,12 +125,12 @@ def homing(highest: float | None = None, *, turns: ArrayLike | None = None, driv
     """Return a voltage that homes an actuator: base -> highest -> base, or straight through given turning points.
 
     `highest` [V], above the base. `turns` (m,) [V], instead of `highest`: voltages to visit in this order, from the
-    present voltage (by default the base) to the last of `turns`. `drive`: how it is played. Raise `RecordError` as all
-    excitations do, or unless exactly one of `highest` and `turns` is given.
+    present voltage (by default the base) to the last of `turns`. `drive`: speed and sampling. Raise `RecordError` as
+    all excitations do, and unless exactly one of `highest` and `turns` is given.
     """
     if (turns is None) == (highest is None):
         got = f"{'neither' if turns is None else 'both'} of highest and turns"
-        raise RecordError(argument="homing", got=got, need="one", hint="try the highest voltage in use")
+        raise RecordError(argument="homing", got=got, need="one of them", hint="try the highest voltage in use")
     if turns is None:
         return _through("homing", [_top(highest, drive), drive.base], drive)
     stops = voltages(turns, "turns").tolist()
@@ -152,25 +152,25 @@ def stage_excitation(
     axes: Sequence[str] | None = None,
     seed: int = 0,
 ) -> Excitation:
-    """Return descending tops on each axis in turn, the others at their base, then turns of all axes together.
+    """Return descending tops on each axis in turn, with the others at the base, then a motion of all axes together.
 
-    When moving together, each axis turns at its own levels, and the periods are powers of an irrational ratio, so that
-    no combination of states repeats. The excitation has `axes`, and `parts` "x alone", ... and "together".
+    In this motion each axis turns at other levels, and the ratio of the periods is irrational, so that no combination
+    of states repeats. The excitation has `axes`, and `parts` "x alone", ... and "together".
 
     Parameters
     ----------
     highest : (axes,) sequence of float
         Highest voltage [V] of each axis.
     drive : Sampling or sequence of Sampling, optional
-        How each axis is sampled: base, frequency, limits and slew rate; one sample rate for all.
+        Base, frequency, limits and slew rate of each axis; all have one sample rate.
     steps, majors : int
         As in `descending_tops`, for each axis alone.
     cycles : int
-        Cycles of the first axis when all move together; 0: only one axis after the other.
+        Cycles of the first axis in the motion of all axes together; 0: no such motion.
     axes : sequence of str, optional
         Names of the axes; default: x, y, z.
     seed : int
-        Seed of the levels at which the axes turn when moving together.
+        Seed of the levels at which the axes turn in this motion.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def stage_excitation(
         {j: descending_tops(top, steps=steps, majors=majors, drive=own).voltage} for j, (top, own) in enumerate(driven)
     ]
     if cycles:
-        # From the base, with another period and the same samples.
+        # Each axis starts from the base, with another period and the same sample rate.
         slower = [
             replace(own, present=None, sample_rate=own.rate, frequency=own.frequency / RATIO**j)
             for j, own in enumerate(drives)
@@ -221,7 +221,7 @@ def _through(name: str, turns: list[float], drive: Sampling) -> Excitation:
 
 
 def _cycles(cycles: object, what: str, first: float, second: float, *, least: int = 1, rows: int = 1) -> list[float]:
-    """Return two turning points repeated for each cycle, for one or several such rows."""
+    """Return two turning points repeated for each cycle; `rows`: number of such repetitions in the excitation."""
     return [first, second] * _count(cycles, what, least=least, most=_MOST_TURNS // (2 * rows))
 
 
@@ -231,7 +231,7 @@ def _tops(top: float, steps: int, drive: Sampling) -> list[float]:
 
 
 def _random_turns(count: int) -> list[float]:
-    """Return a number of alternating top and bottom turning points, as parts of the range."""
+    """Return random turning points, alternately top and bottom, as parts of the range."""
     rng, turns = np.random.default_rng(0), [0.0]
     for k in range(count):
         below, above = (turns[-1] + _LEAST_BRANCH, 1.0) if k % 2 == 0 else (0.0, turns[-1] - _LEAST_BRANCH)
@@ -247,7 +247,7 @@ def _top(highest: object, drive: Sampling) -> float:
 
 
 def _turns(highest: float, drive: Sampling, cycles: int, seed: int) -> Array:
-    """Return voltages between levels that fill the range, each half cycle of one duration."""
+    """Return voltages between random levels that fill the range; all half cycles have one duration."""
     rng = np.random.default_rng([18, seed])
     span = highest - drive.base
     tops = drive.base + span * rng.permuted((np.arange(cycles) + 1.0) / cycles * 0.55 + 0.45)
