@@ -1,4 +1,4 @@
-"""A compensator of one axis or of several as a folder of C: the core that Python runs, and the numbers of the model."""
+"""A compensator of one or several axes as a folder of C: the core that Python runs, and the numbers of the model."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ STAGE_NAME = "stage"
 SOURCES = ("piezo.c", "dehyst.c")
 CORE = ("dehyst.c", "dehyst.h", "dehyst_model.h")
 CONFIG = "dehyst_config.h"
-# Beside the sources: what `make` does with them, and what is not kept of MISRA C.
+# Files beside the sources: for the targets of `make`, and the deviations from MISRA C.
 BESIDE = ("Makefile", "worst.c", "start.S", "board.ld", "MISRA.md")
-# Lines of the templates in whose place the generated text comes.
+# Lines of the templates that generated text replaces.
 _SIZES, _NUMBERS, _TEMPERATURE = "/* sizes */\n", "/* numbers */\n", "/* temperature */\n"
 _TEMPERATURES_DECLARED = """\
-/* Set gain and offset of the displacements for the temperature of each actuator [degC], between two periods; before the
- * first call the references of the model hold. If it does not return DEHYST_OK, nothing changes. */
+/* Set gain and offset of the displacements for the temperature of each actuator [degC], between two periods. Before the
+ * first call the reference temperatures apply. If it does not return DEHYST_OK, nothing changes. */
 dehyst_status piezo_temperature(piezo *p, const dehyst_real degrees[PIEZO_AXES]);
 """
 _TEMPERATURES_DEFINED = """
@@ -38,7 +38,7 @@ dehyst_status piezo_temperature(piezo *p, const dehyst_real degrees[PIEZO_AXES])
     dehyst_status status = DEHYST_OK;
     dehyst_loop trial;
     int j;
-    /* First all axes on a trial, so that an error changes none. */
+    /* All axes are tried on a copy first, so that an error changes no axis. */
     for (j = 0; j < 2 * PIEZO_AXES && status == DEHYST_OK; j++) {
         const int axis = j % PIEZO_AXES;
         const dehyst_real kelvins = degrees[axis] - thermal[axis][2];
@@ -48,13 +48,13 @@ dehyst_status piezo_temperature(piezo *p, const dehyst_real degrees[PIEZO_AXES])
     return status;
 }
 """
-# Bounds of a float's error, as a share of the range: below the first, the number type was not changed everywhere.
+# Bounds of the error of floats, as a share of the range. A smaller error shows that doubles are still in use.
 _LEAST, _MOST = 1e-9, 1e-3
 _AHEAD = "\n        /* Give each displacement {ahead} samples before its time, PIEZO_AHEAD. */"
 _SMOOTH = """
 
-Wanted displacements must be smooth, without jumps, corners or noise: delays are compensated by differences between
-samples, which amplify these. Voltages stay within the limits all the same.
+Wanted displacements must be smooth, without jumps, corners or noise: the compensation of delays uses differences
+between samples, which amplify them. Voltages stay within the limits in any case.
 """
 
 
@@ -62,11 +62,11 @@ def code(compensator: Compensator, number: Number = "double", name: str | None =
     """Return the C files of a compensator by name: `SOURCES` and their headers, as `export` writes them.
 
     Raise `ModelError` if `compensator` is not a Compensator, the number type is invalid, floats cannot hold this model,
-    or the name is not valid in C or has a meaning there.
+    or the name is not a valid name in C or already has a meaning there.
     """
     coupled = _coupled(compensator)
     if number not in ("double", "float") or (coupled and number == "float"):
-        need = "'double', of coupled axes" if coupled else "'double' or 'float'"
+        need = "'double' for coupled axes" if coupled else "'double' or 'float'"
         raise ModelError(argument="number", got=repr(number), need=need)
     own = _name(compensator, name)
     demand_name(own)
@@ -80,7 +80,7 @@ def code(compensator: Compensator, number: Number = "double", name: str | None =
         text = ModelText(axis, number)
         macros, numbers = text.macros(), text.numbers()
         declared, defined = text.temperature()
-    # The actuator's name is not to be renamed, nor to end the comment.
+    # The name of the actuator must not be renamed by `text_of`, and must not end the comment.
     title = printable(title).replace("*/", "* /").replace("/*", "/ *")
     title = f"/* The {kind} '{title}', made by dehyst {__version__}. Units: V, m, s. Do not edit. */\n"
     header, source = map(shipped, templates)
@@ -98,17 +98,17 @@ def _coupled(compensator: object) -> bool:
 
 
 def _name(compensator: Compensator, name: str | None) -> str:
-    """Return the name in C: the one given, or the usual one."""
+    """Return the name in C: the given name, or the default name."""
     return name if name is not None else STAGE_NAME if _coupled(compensator) else DEFAULT
 
 
 def _coupled_numbers(compensator: Compensator) -> tuple[str, str]:
-    """Return the macros and the numbers of several axes: those of each, and the matrices."""
+    """Return the macros and the numbers of several axes: numbers of each axis, and the matrices."""
     for name, axis in zip(compensator.stage.axes, compensator._axes, strict=True):
         if axis.actuator.displacement_creep is not None:
             raise ModelError(
                 f"axis {name} has creep in displacement, which an export of coupled axes does not compute",
-                hint="export the actuator of each axis alone, or leave that part out",
+                hint="export the actuator of each axis alone, or leave creep out",
             )
     texts = [ModelText(axis, "double") for axis in compensator._axes]
     ends, count = list(accumulate(text.memory for text in texts)), len(texts)
@@ -123,7 +123,7 @@ def _coupled_numbers(compensator: Compensator) -> tuple[str, str]:
     models = ", ".join(f"&axis{j}_model" for j in range(count))
     numbers += [
         f"static const dehyst_model *const models[PIEZO_AXES] = {{{models}}};",
-        "/* Where the memory of each axis begins. */",
+        "/* Index at which the memory of each axis begins. */",
         f"static const int begins[PIEZO_AXES] = {{{', '.join(map(str, [0, *ends[:-1]]))}}};\n",
     ]
     return "".join(f"#define PIEZO_{name} {value}\n" for name, value in macros.items()), "\n".join(numbers)
@@ -168,7 +168,7 @@ def write_c(compensator: Compensator, folder: Path, number: Number = "double", n
 
 
 def _demand_place(folder: Path) -> None:
-    """Refuse a folder in no folder, and a file."""
+    """Refuse a file, and a folder whose parent does not exist."""
     if not folder.resolve().parent.is_dir():
         raise FileFormatError(f"{folder}: the folder {folder.parent} does not exist; create it first")
     if folder.exists() and not folder.is_dir():
@@ -176,7 +176,7 @@ def _demand_place(folder: Path) -> None:
 
 
 def _put(draft: Path, target: Path) -> None:
-    """Move the draft to its place, or its files into a folder that is there."""
+    """Move the draft to the target, or its files into a target folder that exists."""
     settle_folder(draft)
     if target.exists():
         for path in draft.iterdir():
@@ -188,7 +188,7 @@ def _put(draft: Path, target: Path) -> None:
 
 
 def _write(folder: Path, files: dict[str, str]) -> None:
-    """Write `files`, their texts by name, into a `folder`."""
+    """Write `files` (text by name) into a `folder`."""
     for name, text in files.items():
         with (folder / name).open("w", encoding="utf-8", newline="\n") as stream:
             stream.write(text)
@@ -218,14 +218,14 @@ def _readme(compensator: Compensator, number: Number, rows: int, own: str) -> st
 
 
 def _axis_row(name: str, axis: Axis) -> str:
-    """Return the row of one of several axes in the table of the README."""
+    """Return the row of an axis in the table of the README."""
     (low, high), start = axis.limits, ExportedStart.of(axis)
     slew = "not limited" if axis.slew_rate is None else f"{axis.slew_rate:.9g} V/s"
     return f"| {name} | {low:.9g} to {high:.9g} | {slew} | {start.words}: {start.way} |"
 
 
 def _axis_words(axis: Axis, number: Number, own: str) -> dict[str, object]:
-    """Return what the README says of a single axis."""
+    """Return the words of the README for a single axis."""
     low, high = axis.limits
     period, slew, ahead = axis.period, axis.slew_rate, axis.preview[1]
     start = ExportedStart.of(axis)

@@ -30,13 +30,13 @@ from dehyst.exports.naming import printable, shipped
 
 Kind: TypeAlias = Literal["compensator", "actuator"]
 
-# Longest identifier, and bytes of the model in a line.
+# Longest identifier; number of bytes of the model in a line.
 _LONGEST, _A_LINE = 60, 24
 # The only file to compile.
 _SOURCE = "all.c"
-# Not Python's file times: the same model gives the same file.
+# A fixed time for all files, so that the same model gives the same FMU.
 _TIME = (1980, 1, 1, 0, 0, 0)
-# Limits that no voltage meets.
+# Limits that no voltage reaches.
 ANY_VOLTAGE = -1e300, 1e300
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared", "-s")
 _WRAPPER = ("fmu.h", "fmu.c", "fmi2.h", "fmi2.c")
@@ -56,12 +56,12 @@ class _NoBinaryError(Exception):
 
 
 def write_fmu(compensator: Compensator, path: Path, kind: Kind = "compensator") -> None:
-    """Write an FMU of a compensator, see `dehyst.export`, or of its actuator, if its limits are `ANY_VOLTAGE`."""
+    """Write an FMU of a compensator, or of its actuator, whose limits are then `ANY_VOLTAGE`; see `dehyst.export`."""
     axis = only_axis(compensator)
     if axis.actuator.thermal is not None:
         raise ModelError(
             "the actuator depends on temperature, for which an FMU has no input",
-            hint="export it in C or WebAssembly, or leave its part thermal out, and set the inputs gain and offset",
+            hint="export it in C or WebAssembly, or leave out the part thermal and set the inputs gain and offset",
         )
     summary, variables = _interface(axis, kind)
     sources = _sources(axis, kind)
@@ -88,7 +88,7 @@ def write_fmu(compensator: Compensator, path: Path, kind: Kind = "compensator") 
 
 
 def _sources(axis: Axis, kind: Kind) -> dict[str, str]:
-    """Return the contents of `sources/`: the core, the FMI functions, and the model as the block that it loads."""
+    """Return the contents of `sources/`: the core, the FMI functions, and the model as a block of bytes."""
     block, text = axis.block(), ModelText(axis, "double")
     sizes = {
         "ACTUATOR": int(kind == "actuator"),
@@ -129,7 +129,7 @@ def _compiled(sources: Mapping[str, str]) -> bytes:
             raise _NoBinaryError(f"{compiler} cannot be run ({error})") from error
         if done.returncode:
             lines = done.stderr.strip().splitlines() or [f"status {done.returncode}"]
-            # A compiler names places before it names the error.
+            # A compiler prints places before it prints the error.
             errors = [line for line in lines if "error" in line.lower()]
             raise _NoBinaryError(f"{compiler} failed: {(errors or lines)[0]}")
         return (folder / "fmu.so").read_bytes()
@@ -140,7 +140,7 @@ def _zipped(content: Mapping[str, bytes]) -> bytes:
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in content.items():
             entry = zipfile.ZipInfo(name, _TIME)
-            # The description shows at the file's beginning which program wrote it.
+            # The description is stored uncompressed at the start of the file: it shows which program wrote it.
             stored = name == "modelDescription.xml"
             entry.compress_type, entry.create_system = zipfile.ZIP_STORED if stored else zipfile.ZIP_DEFLATED, 3
             entry.external_attr = (0o100755 if name.endswith(".so") else 0o100644) << 16
@@ -160,7 +160,7 @@ class Variable(NamedTuple):
 
 
 def _interface(axis: Axis, kind: Kind) -> tuple[str, list[Variable]]:
-    """Return the description of an FMU in a sentence or two, and its variables: time, the input, and outputs."""
+    """Return the description of an FMU in one or two sentences, and its variables: time, inputs and outputs."""
     words, begin = printable(axis.actuator.name), ExportedStart.of(axis)
     period, (low, high), ahead = axis.period, axis.limits, axis.preview[1]
     scaling = (

@@ -1,4 +1,4 @@
-"""The golden trace: calls of a compensator and their results in Python, for its export to replay."""
+"""The golden trace: calls of a compensator and their results in Python, which the exported code replays."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from dehyst._types import Array
 from dehyst.control import Clamps, ClampWarning, Compensator
 from dehyst.model import Actuator, Stage, apply
 
-# How far turning points may lie beyond the reach, as a share of it: such displacements are clamped.
+# Turning points lie beyond the reach by up to this share of it, so that some displacements are clamped.
 _BEYOND = 0.25
 _BRANCHES, _JUMPS, _VOLTAGES = 14, 80, 80
 _LEAST_BRANCH, _MOST_BRANCH = 25, 400
 _COMMITS, _NONSENSE, _HELD, _OFFERED, _STEPS = 13, 29, 17, 11, 255
-_HEADER = Template("""/* What Python computed with this model. */
+_HEADER = Template("""/* Calls and the results that Python computed with this model. */
 #ifndef TRACE_H
 #define TRACE_H
 
@@ -42,7 +42,7 @@ $rows
 
 
 class Call(IntEnum):
-    """A call of `piezo.h`, in the order of `check.c`. From COMMIT on, except NONSENSE, displacements are compared."""
+    """A call of `piezo.h`, in the order of `check.c`; from COMMIT on, except NONSENSE, its result is a displacement."""
 
     STEP = 0
     OFFER = 1
@@ -54,7 +54,7 @@ class Call(IntEnum):
 
 
 class TraceRow(NamedTuple):
-    """A call, its arguments [m or V], and its results for each axis: voltages [V], or displacements [m] after it."""
+    """A call, its arguments [m or V], and its results for each axis: voltages [V], or the displacements [m] reached."""
 
     what: Call
     given: tuple[float, ...]
@@ -64,9 +64,9 @@ class TraceRow(NamedTuple):
 class GoldenTrace(NamedTuple):
     """A trace.
 
-    `clamps`: clamped samples of each axis. `refused`: number of wanted displacements that are not a number. `volts`,
-    `stroke`: references of errors: the largest width of limits [V] and of a reach [m]. `coupled`: whether the trace is
-    of a stage, whose calls have arrays.
+    `clamps`: number of clamped samples of each axis. `refused`: number of wanted displacements that are not a number.
+    `volts`, `stroke`: references of errors: the largest width of the limits [V] and of the reach [m]. `coupled`:
+    whether the trace belongs to a stage, whose calls have arrays.
     """
 
     rows: tuple[TraceRow, ...]
@@ -78,11 +78,11 @@ class GoldenTrace(NamedTuple):
 
 
 def golden_trace(compensator: Compensator) -> GoldenTrace:
-    """Play a trace on compensators like this one, from their start; this one does not change.
+    """Play a trace on copies of a compensator, from its start; the compensator does not change.
 
     The trace has wanted displacements within and beyond the reach, slow and in jumps, and some that are not a number.
-    With several axes, one, several and all of them are clamped. It also has offers that are dropped, committed, or
-    committed with other voltages; periods in which nothing is sent; and at the end voltages on the actuators alone.
+    With several axes, it clamps one, several and all of them. It also has offers that are dropped, committed, or
+    committed with other voltages, and periods in which nothing is sent. At the end, voltages drive the actuators alone.
     """
     loop, body = compensator._clone("m"), compensator._clone("m")
     axes = loop._axes
@@ -110,7 +110,7 @@ def golden_trace(compensator: Compensator) -> GoldenTrace:
 def trace_header(trace: GoldenTrace, least: float, most: float) -> str:
     """Return the text of `trace.h`; the error of floats must lie between two shares of the range."""
     form = "    {{{}, {{{}}}, {{{}}}}}" if trace.coupled else "    {{{}, {}, {}}}"
-    # C has no literal for NaN; check.c makes one.
+    # C has no literal for NaN: `check.c` passes a NaN in these calls.
     rows = [
         form.format(
             int(row.what),
@@ -167,7 +167,7 @@ def _played(loop: Compensator, path: Array, limits: Array) -> Iterator[TraceRow]
                 loop.commit(_given(loop, offered))
                 yield TraceRow(Call.ACCEPT, nothing, _place(loop))
                 continue
-            # As converters with few bits send it, but for the first of several axes.
+            # The voltage is rounded like in a converter with few bits, except on the first of several axes.
             sent = low + (high - low) * np.round(_STEPS * (offered - low) / (high - low)) / _STEPS
             if len(sent) > 1:
                 sent[0] = offered[0]
@@ -186,7 +186,7 @@ def _played(loop: Compensator, path: Array, limits: Array) -> Iterator[TraceRow]
 
 
 def _given(loop: Compensator, values: Array) -> Any:
-    """Return values (axes,) as a loop takes them: a number for one axis."""
+    """Return values (axes,) in the form that a loop takes: a number for one axis."""
     return float(values[0]) if isinstance(loop.model, Actuator) else values
 
 

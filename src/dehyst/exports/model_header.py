@@ -1,4 +1,4 @@
-"""The numbers of a compensator as C: what `piezo.c` and `piezo.h` hold of a model, and where its memory begins."""
+"""The numbers of a compensator as C: the parts of `piezo.c` and `piezo.h` that depend on the model, and its start."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ static const dehyst_model piezo_model = {{{
  {$start, $memory},
  $period, $ahead, ${id}ul, ${shape}ul};""")
 _TEMPERATURE_DECLARED = """\
-/* Set gain and offset of the displacement for a temperature [degC], between two periods; before the first call the
- * reference of the model holds. If it does not return DEHYST_OK, nothing changes. */
+/* Set gain and offset of the displacement for a temperature [degC], between two periods. Before the first call the
+ * reference temperature applies. If it does not return DEHYST_OK, nothing changes. */
 dehyst_status piezo_temperature(piezo *p, dehyst_real degrees);
 """
-# Gain 1/K, offset m/K, and reference: as `Thermal.scale` in Python, bit for bit.
+# Gain 1/K, offset m/K and reference give the same bits as `Thermal.scale` in Python.
 _TEMPERATURE_DEFINED = """
 dehyst_status piezo_temperature(piezo *p, dehyst_real degrees)
 {
@@ -56,10 +56,10 @@ _A_LINE = 4
 _SCALARS = ("loop", "inertia", "transition", "output")
 # Bytes before the numbers of a block.
 _HEADER = 64
-# Slider positions [m] of one state, but for rounding.
+# Cart positions [m] that differ by less are equal: the difference is rounding.
 _SAME_CARTS = 1e-13
 _LARGEST = float(np.finfo(np.float64).max)
-# Tables that must strictly increase or be positive, and what they hold, for messages.
+# Tables that must strictly increase or be positive, with their contents in words for messages.
 _INCREASING = {
     "rho": "breakaway elongations",
     "knot": "displacements of the spring's knots",
@@ -88,7 +88,7 @@ class ExportedStart(NamedTuple):
     def of(cls, axis: Axis) -> ExportedStart:
         """Return the initial state of an axis, at its construction or last reset."""
         actuator, (low, high), asked = axis.actuator, axis.limits, axis.given
-        # A little beyond the limits, the requested state has the same way.
+        # A state slightly beyond the limits is reached in the same way.
         held = axis.held(asked)
         near = abs(actuator.voltage(asked) - held) <= NEAR * (high - low)
         return cls(
@@ -102,7 +102,7 @@ class ExportedStart(NamedTuple):
 
 
 def _way(actuator: Actuator, state: State, voltage: float, limits: tuple[float, float]) -> str:
-    """Describe the slow voltage that leads to the state; the text contains no times."""
+    """Describe the slow voltage that leads to the state; the text holds no times."""
     strain, most = state.deformation - state.carts, actuator.slip.breakaway
     end = f"{voltage:.5g} V"
     rest = " and wait until creep has come to rest" if actuator.displacement_creep is not None else ""
@@ -117,7 +117,7 @@ def _way(actuator: Actuator, state: State, voltage: float, limits: tuple[float, 
         near = abs(voltage - limit) <= NEAR * (high - low)
         if near and np.allclose(looped(actuator, limits, rising=rising).carts, state.carts, rtol=0, atol=_SAME_CARTS):
             return f"swing the voltage slowly between {low:.5g} and {high:.5g} V, twice, and end at {limit:.5g} V{rest}"
-    return f"play the voltages that lead to this state, for instance a homing, down to the last one, {end}"
+    return f"play the voltages that lead to this state, for instance a homing; the last voltage is {end}"
 
 
 def config_header(number: Number) -> str:
@@ -126,7 +126,7 @@ def config_header(number: Number) -> str:
 
 
 class ModelText:
-    """The numbers of an `axis` as C text of a `number` type; a float is rounded once, limits inward.
+    """The numbers of an `axis` as C text of a `number` type. Floats are rounded once, limits inward.
 
     Raise `ModelError` if numbers that must differ round to the same float, or a float cannot hold a number.
     """
@@ -140,7 +140,7 @@ class ModelText:
 
     @property
     def memory(self) -> int:
-        """Number of numbers in the memory of a loop."""
+        """Count of numbers in the memory of a loop."""
         return 2 * self._start.carts.size + self._start.strains.size + self._tables["tap"].size
 
     @property
@@ -150,7 +150,7 @@ class ModelText:
 
     @property
     def room(self) -> int:
-        """Number of numbers in a block of these sizes and in the tables that the core computes."""
+        """Count of numbers in a block of these sizes, with the tables that the core computes."""
         tables, elements = self._tables, self._tables["rho"].size
         grades = max(tables["grade_knot"].size - 1, 0)
         computed = tables["knot"].size + 2 * tables["tau_voltage"].size
@@ -166,7 +166,7 @@ class ModelText:
 #define PIEZO_SMOOTH {tables["length"].size}
 #define PIEZO_OUTPUT {tables["output_gain"].size}
 #define PIEZO_TAPS {tables["tap"].size}
-/* Numbers that dehyst_model_load needs for another block of these sizes. */
+/* Count of numbers that dehyst_model_load needs for another block of these sizes. */
 #define PIEZO_ROOM {self.room}
 
 /* Seconds between steps; 0: this model does not depend on time. */
@@ -178,10 +178,10 @@ class ModelText:
 """
 
     def numbers(self) -> str:
-        """Return the constants of `piezo.c`: every number that a step reads, and the state that it starts from."""
+        """Return the constants of `piezo.c`: every number that a step reads, and the start."""
         start = self._start
         elongation, crept = np.split(start.strains, [self._tables["length"].size])
-        # A step reads these: not kappa with graded elements, and one slope less than knots.
+        # A step reads these tables, but not kappa with graded elements, and one slope less than knots.
         arrays = {name: self._tables[name] for name in self._tables if name not in _SCALARS}
         if arrays["grade_knot"].size:
             arrays["kappa"] = EMPTY
@@ -246,7 +246,7 @@ class ModelText:
         )
 
     def _one(self, value: float) -> str:
-        """Return a number in hexadecimal, where only C reads it, so that no bit is lost."""
+        """Return a number in hexadecimal, so that no bit is lost; for places that only C reads."""
         if value == _LARGEST:
             return "DEHYST_LARGEST"
         return float(value).hex() if self._number == "double" else f"{float(np.float32(value)).hex()}f"
@@ -259,12 +259,12 @@ class ModelText:
         return f"static const dehyst_real piezo_{name}[{values.size}] = {{\n    {body}}};"
 
     def _decimal(self, value: float) -> str:
-        """Return the shortest decimal that is rounded to the same number, which every C++ reads."""
+        """Return the shortest decimal that rounds to the same number; every version of C++ reads it."""
         return repr(float(value)) if self._number == "double" else f"{np.float32(value)!s}f"
 
 
 def _inward(loop: Array) -> Array:
-    """Return the numbers of a loop with limits and largest change rounded inward, so that no voltage leaves them."""
+    """Return the numbers of a loop with limits and largest change rounded inward, so that no voltage exceeds them."""
 
     def below(value: float) -> float:
         rounded = np.float32(value)
@@ -290,7 +290,7 @@ def _demand_float(tables: Tables) -> None:
             i = int(np.argmax(np.diff(rounded) <= 0))
             pair = f"{float(values[i])!r} and {float(values[i + 1])!r}"
             raise ModelError(
-                f"float: the {_INCREASING[name]} {pair} are one number when rounded, need two; export double, or "
+                f"float: the {_INCREASING[name]} {pair} round to one number, need two; export double, or "
                 "identify with fewer"
             )
         if name in _POSITIVE and (rounded <= 0).any() and (values > 0).all():
@@ -299,6 +299,6 @@ def _demand_float(tables: Tables) -> None:
     decay = kept.astype(np.float32)
     if ((decay == 1) & (kept < 1)).any():
         raise ModelError(
-            "float: creep is so slow beside the period that it would never relax: the decay of a strain in one step, "
-            f"{float(kept.max())!r}, is 1 when rounded; export double, or give a longer period"
+            "float: creep is too slow for this period and would never relax: the decay of a strain in one step, "
+            f"{float(kept.max())!r}, rounds to 1; export double, or give a longer period"
         )

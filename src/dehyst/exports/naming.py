@@ -1,4 +1,4 @@
-"""Files of the package for exports, and the names in an export, so that several models fit into one firmware."""
+"""Files of the package for exports; names in an export, which let several models fit into one firmware."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from dehyst._errors import FileFormatError, ModelError
 
 DEFAULT = "piezo"
-# Files with symbols of the model; the core is the same for all.
+# Files with symbols of the model; the core is the same for all models.
 _RENAMED = ("piezo.c", "piezo.h", "check.c")
 _CODE_WORD = re.compile(r"(?<![\w.])(?<!->)[A-Za-z_]\w*")
 _NOT_CODE = re.compile(r'/\*.*?\*/|"(?:\\.|[^"\\])*"', re.DOTALL)
@@ -31,7 +31,7 @@ _HEADERS = (
 
 
 def demand_name(name: object) -> None:
-    """Raise an error for a name that cannot be a C type next to the core.
+    """Raise an error for a name that cannot be the name of a C type beside the core.
 
     Raises
     ------
@@ -49,14 +49,14 @@ def demand_name(name: object) -> None:
     taken = lower in f"{_KEYWORDS} {_HEADERS}".split() or (name != DEFAULT and name in words)
     if taken or lower.startswith(("dehyst", "trace_")):
         raise ModelError(
-            f"got {name!r}, which means something else in C or in the exported files",
+            f"got {name!r}, which already has a meaning in C or in the exported files",
             argument="name",
             hint="give another",
         )
 
 
 def text_of(text: str, name: str) -> str:
-    """Rename the symbols, macros and files in a template, in which `piezo` and PIEZO have no other meaning."""
+    """Rename symbols, macros and files in a template, where `piezo` and PIEZO occur in such names only."""
     return text.replace("PIEZO", name.upper()).replace("piezo", name)
 
 

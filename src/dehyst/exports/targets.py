@@ -1,4 +1,4 @@
-"""`export`: one function for all kinds of exports, and the table with a row for each suffix from which it chooses."""
+"""`export`: one function for all kinds of exports, which it chooses by suffix from a table."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dehyst.exports.wasm import wasm_files, write_wasm
 from dehyst.model import Actuator, Stage
 
 Source: TypeAlias = Compensator | Actuator | Stage
-# The end of the name of a file, unlike that of a folder "piezo-1.5".
+# The suffix of a file; the name of a folder such as "piezo-1.5" has none.
 _OF_A_FILE = re.compile(r"\.[A-Za-z][A-Za-z0-9]{0,4}")
 
 
@@ -25,8 +25,8 @@ class Target(NamedTuple):
     """A kind of export.
 
     `words`: its name in messages. `write`: function that writes a compensator to a path, with keywords of `options`.
-    `options`: those options of the command that not all kinds have. `files`: function that returns all files of a path;
-    None for a folder, whose `write` returns them.
+    `options`: options of the command that only some kinds have. `files`: function that returns all files of a path;
+    None for a folder, as its `write` returns them.
     """
 
     words: str
@@ -35,7 +35,7 @@ class Target(NamedTuple):
     files: Callable[[Path], list[Path]] | None = lambda path: [path]
 
 
-# By suffix; a path without one is a folder of C, as is one whose end is not that of a file.
+# Kinds by suffix; a path without the suffix of a file is a folder of C.
 TARGETS = {
     "": Target("C", write_c, ("number", "name"), None),
     ".wasm": Target("WebAssembly", write_wasm, (), wasm_files),
@@ -44,7 +44,7 @@ TARGETS = {
 
 
 def target_of(path: Path, *, coupled: bool = False) -> Target:
-    """Return the kind of export for a path, C for `coupled` axes; raise FileFormatError if none ends like it."""
+    """Return the kind of export for a path, C for `coupled` axes; raise FileFormatError for an unknown suffix."""
     target = TARGETS[""] if coupled else TARGETS.get(path.suffix, TARGETS[""])
     if target.files is None and _OF_A_FILE.fullmatch(path.suffix) and not path.is_dir():
         files = " or ".join(suffix for suffix in TARGETS if suffix)
@@ -60,28 +60,28 @@ def export(
 
     - A folder: C for a microcontroller, which computes the bits of Python. Six files go into a firmware: the core,
       `dehyst.c`, `dehyst.h` and `dehyst_model.h`, byte for byte as Python runs it; the number type,
-      `dehyst_config.h`; and the model, NAME.c and NAME.h. A golden trace, which ``make check`` replays, and a README
-      are beside them. The folder is written whole, or not at all.
-    - FILE.wasm: WebAssembly with the same bits, and next to it the JavaScript module that calls it, and its types.
-    - FILE.fmu: an FMU for co-simulation (FMI 2.0): displacement [m] in and voltage [V] out; or of an actuator, the
-      virtual actuator, voltage in and displacement out, without limits. Its step is the period or a whole multiple of
-      it, during which the input is constant; without a period, any step is one sample.
+      `dehyst_config.h`; and the model, NAME.c and NAME.h. The folder also holds a golden trace, which ``make check``
+      replays, and a README. It is written whole, or not at all.
+    - FILE.wasm: WebAssembly with the same bits; beside it the JavaScript module that calls it, and its types.
+    - FILE.fmu: an FMU for co-simulation (FMI 2.0). A compensator has displacement [m] in and voltage [V] out. An
+      actuator has voltage in and displacement out, without limits. A step is the period or a whole multiple of it, with
+      a constant input; without a period, any step is one sample.
 
     Parameters
     ----------
     source : Compensator, Actuator or Stage
-        A compensator is exported in its state at construction or last reset, and does not change. Of a model, its
-        compensator within the model's limits is exported, or as an FMU itself, from the model's state. Several axes are
+        A compensator is exported in its state at construction or last reset, and does not change. For a model, the
+        export is a compensator within its limits, or as an FMU the model itself, from its state. Several axes are
         exported as C only.
     target : path
-        Files of the same names are replaced, others in a folder stay.
+        Files of the same names are replaced; other files in a folder stay.
     number : {'double', 'float'}, optional
-        Number type of C. float: every number is rounded once. Coupled axes need double.
+        Number type of C. For float, every number is rounded once. Coupled axes need double.
     name : str, optional
-        Name in C of the type, the calls, macros and files, by default piezo, or stage of several axes, so that several
-        models fit into one firmware.
+        Name in C of the type, the calls, macros and files, so that several models fit into one firmware; by default
+        piezo, for several axes stage.
     period : float, optional
-        Time between steps [s] of a model; a compensator has its own.
+        Time between steps [s] of a model; a compensator already has a period.
 
     Returns
     -------
@@ -92,14 +92,14 @@ def export(
     ------
     ModelError
         If `source` cannot be exported in this form, a required period is missing, floats cannot hold the model, an
-        option is not one of this form, or the name is not valid in C or has a meaning there.
+        option does not belong to this form, or the name is not valid in C or already has a meaning there.
     FileFormatError
         If `target` is not a path, has another suffix, or cannot be written.
 
     Warns
     -----
     SourceOnlyWarning
-        If an FMU holds sources only, because there is no C compiler, it fails, or this is not Linux on x86-64.
+        If an FMU holds sources only, because no C compiler is found, it fails, or the system is not Linux on x86-64.
     """
     written(source, target, number, name, period)
     return path_of(target)
@@ -121,9 +121,9 @@ def written(source: Source, target: PathLike, number: Number, name: str | None, 
 
 
 def _loop_of(source: Source, period: float | None, limits: tuple[float, float] | None) -> Compensator:
-    """Return a compensator as it is, or that of a model, with the `limits` [V] of an actuator."""
+    """Return a compensator unchanged, or make one from a model; `limits` [V]: limits for an actuator."""
     if isinstance(source, Actuator | Stage):
         return Compensator(source, limits, period=period)
     if period is not None:
-        raise ModelError(argument="period", got=repr(period), need="none, as a compensator has its own")
+        raise ModelError(argument="period", got=repr(period), need="none, as a compensator already has one")
     return source

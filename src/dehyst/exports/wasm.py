@@ -19,9 +19,9 @@ _WRAPPER = {".js": "compensator.js", ".d.ts": "compensator.d.ts"}
 
 
 def write_wasm(compensator: Compensator, path: Path) -> None:
-    """Write a compensator as WebAssembly, see `dehyst.export`; core, NAME.js and NAME.d.ts are those of any model."""
+    """Write a compensator as WebAssembly, see `dehyst.export`; NAME.js and NAME.d.ts are the same for all models."""
     module, files = wasm_module(compensator), wasm_files(path)
-    # The module comes last: when it is there, all are.
+    # The module is written last: if it exists, all files exist.
     for file, template in zip(files[1:], _WRAPPER.values(), strict=True):
         write_atomically(file, shipped(template))
     write_atomically(files[0], module)
@@ -54,7 +54,7 @@ def wasm_module(compensator: Compensator) -> bytes:
     if (thermal := actuator.thermal) is not None:
         about["thermal"] = {"gain": thermal.gain, "offset": thermal.offset, "reference": thermal.reference}
     text = json.dumps(about, ensure_ascii=False, allow_nan=False).encode(errors="backslashreplace")
-    # Own sections come first: a file of dehyst is known by its beginning.
+    # The sections of dehyst come first: they identify the file by its beginning.
     return _MAGIC + _section("dehyst.about", text) + _section("dehyst.model", axis.block()) + core[8:]
 
 

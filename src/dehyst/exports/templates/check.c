@@ -1,4 +1,4 @@
-/* Replays what Python computed with the same model: prints what differs, and returns 0 if nothing does. */
+/* Replays the calls that Python made with the same model: prints the differences, and returns 0 if there is none. */
 #include "piezo.h"
 #include "trace.h"
 
@@ -32,7 +32,7 @@ static double error_of(const trace_row *row, double got)
     return magnitude_of(got - row->answer) / (displaces ? TRACE_STROKE : TRACE_VOLTS);
 }
 
-/* A snapshot has nothing on offer. */
+/* A snapshot does not keep an offer. */
 static int row_is_offer(const trace_row *row) { return row->what == TRACE_OFFER; }
 
 static int counts_differ(const piezo *loop)
@@ -54,7 +54,7 @@ static int conclude(int differing, double largest, const piezo *loop)
     }
     printf("float: largest error %.3e of the range, to be above %.0e and below %.1e\n", largest, TRACE_LEAST,
            TRACE_MOST);
-    /* An error like that of double shows that the number type was not changed everywhere. */
+    /* An error as small as with double shows that the number type was not changed everywhere. */
     return !(largest > TRACE_LEAST && largest < TRACE_MOST);
 }
 
@@ -73,7 +73,7 @@ int main(void)
         if (error > largest || error != error) largest = error;
         if (got != trace[i].answer && differing++ < MOST_PRINTED && sizeof(dehyst_real) == sizeof(double))
             printf("row %d: got %.17g, want %.17g\n", i, got, trace[i].answer);
-        /* A reset must not matter, nor where a piezo lies in memory. */
+        /* Neither a reset nor the address of a piezo may change the results. */
         if (i == TRACE_SIZE / 2) {
             const piezo copy = loop;
             piezo_save(&copy, kept);

@@ -5,10 +5,10 @@
 #include <stdio.h>
 #include <string.h>
 
-/* snprintf may write nan, inf and numbers, none of them with a % sign. */
+/* snprintf writes nan, inf or numbers here; none has a % sign. */
 #define REFUSE(f, ...) (snprintf((f)->message, sizeof(f)->message, __VA_ARGS__), 0)
 
-/* The compensator's output keeps to its limits even before the first step. */
+/* The output of the compensator is within the limits even before the first step. */
 static double within(const fmu *f, double v)
 {
     if (FMU_ACTUATOR) return v;
@@ -93,7 +93,7 @@ int fmu_count(fmu *f, uint32_t reference, uint64_t *value)
     return 1;
 }
 
-/* Whether two times are one: steps are differences of times, each rounded. */
+/* Whether two times are equal up to rounding: steps are differences of rounded times. */
 static int alike(double a, double b, double from, double by)
 {
     const double off = a < b ? b - a : a - b;
@@ -176,7 +176,7 @@ void fmu_save(const fmu *f, fmu_memory *memory)
     dehyst_loop_save(&f->model, &f->now.loop, f->now.memory, memory->loop, FMU_SNAPSHOT);
 }
 
-/* Nothing is ever on offer between two steps. */
+/* No offer is open between two steps. */
 int fmu_restore(fmu *f, const fmu_memory *memory)
 {
     if (dehyst_loop_restore(&f->model, &f->now.loop, f->now.memory, memory->loop, FMU_SNAPSHOT) != DEHYST_OK)
@@ -189,7 +189,7 @@ int fmu_restore(fmu *f, const fmu_memory *memory)
     return 1;
 }
 
-/* FNV-1a of 64 bits, over all behind `check`. */
+/* FNV-1a of 64 bits, over all bytes after `check`. */
 static uint64_t checksum(const fmu_memory *memory)
 {
     const unsigned char *at = (const unsigned char *)&memory->state, *end = (const unsigned char *)(memory + 1);
@@ -198,7 +198,7 @@ static uint64_t checksum(const fmu_memory *memory)
     return sum;
 }
 
-/* What no FMU of this model has written, though its checksum may fit. */
+/* Return why no FMU of this model can have written this memory, although its checksum is right; else NULL. */
 static const char *flaw(const fmu *f, const fmu_memory *memory)
 {
     const double shown = memory->number[FMU_SHOWN];

@@ -1,4 +1,4 @@
-/* The only file to compile. What is not FMI stays inside the library, so that many may be loaded at once, and no
+/* The only file to compile. Only FMI functions are visible, so that several FMUs may be loaded at once. No
  * product is fused with a sum, so that results are the same to the last bit wherever this is compiled. */
 #include <float.h>
 #include <limits.h>

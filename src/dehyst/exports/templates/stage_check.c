@@ -1,4 +1,4 @@
-/* Replays what Python computed with the same stage: prints what differs, and returns 0 if nothing does. */
+/* Replays the calls that Python made with the same stage: prints the differences, and returns 0 if there is none. */
 #include "piezo.h"
 #include "trace.h"
 
@@ -56,7 +56,7 @@ int main(void)
         for (j = 0; j < PIEZO_AXES; j++)
             if (got[j] != trace[i].answer[j] && differing++ < MOST_PRINTED)
                 printf("row %d, axis %d: got %.17g, want %.17g\n", i, j, got[j], trace[i].answer[j]);
-        /* The rest must not depend on where a piezo lies in memory. */
+        /* The address of a piezo may not change the results. */
         if (i == TRACE_SIZE / 2) {
             const piezo copy = loop;
             piezo_begin(&loop);

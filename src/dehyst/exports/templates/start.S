@@ -1,4 +1,4 @@
-/* What a Cortex-M4F needs before newlib's own start. */
+/* Start-up code of a Cortex-M4F that runs before the start-up code of newlib. */
 .syntax unified
 .thumb
 .section .vectors, "a"
@@ -7,7 +7,7 @@
 .thumb_func
 fault: b fault
 .thumb_func
-reset: ldr r0, =0xE000ED88 /* the floating-point unit on */
+reset: ldr r0, =0xE000ED88 /* turn the floating-point unit on */
 ldr r1, [r0]
 orr r1, r1, #0xF00000
 str r1, [r0]

@@ -1,6 +1,6 @@
-/* Counts the instructions of the longest step on a Cortex-M4F that QEMU emulates: the steps of the trace, jumps of all
- * axes to and fro, far beyond what they reach, by which every element breaks away and every knot is passed, and steps
- * to random places within reach, whose voltages are not clamped. */
+/* Counts the instructions of the longest step on a Cortex-M4F that QEMU emulates. It tries the steps of the trace, jumps
+ * of all axes far beyond their reach, so that every element breaks away and every knot is passed, and steps to random
+ * places within reach, whose voltages are not clamped. */
 #include "piezo.h"
 #include "trace.h"
 
@@ -70,7 +70,7 @@ int main(void)
     }
     for (i = 0; i < JUMPS; i++) {
         for (j = 0; j < AXES; j++) {
-            /* In phase, then in opposite phase. */
+            /* All axes jump in phase, then in opposite phase. */
             const int up = (i + ((i < (JUMPS / 2)) ? 0 : j)) % 2;
             const dehyst_real far = 10 * (high[j] - low[j]);
             wanted[j] = up ? (high[j] + far) : (low[j] - far);
