@@ -98,9 +98,8 @@ class _AxisView:
         def origin(quantity: str) -> str:
             key = f"{quantity} of {self.name}" if self.name else quantity
             scale = record.meta.get("scales", {}).get(key)
-            mark = " (guessed, verify)" if {quantity, key} & {*record.meta.get("guesses", ())} else ""
             column = used.get(quantity) or getattr(self.columns, quantity) or quantity
-            return f"'{column}'{f', {scale}' if scale else ''}{mark}"
+            return f"'{column}'{f', {scale}' if scale else ''}"
 
         noise = "" if record.measured is not None else f", noise {digits(record.noise * 1e9)} nm"
         moved = record.displacement[np.isfinite(record.displacement)]
@@ -141,7 +140,7 @@ class _AxisView:
         record = self.record
         return {
             "name": record.name,
-            **{name: record.meta.get(name, {}) for name in ("columns", "scales", "guesses")},
+            **{name: record.meta.get(name, {}) for name in ("columns", "scales")},
             "samples": len(record),
             "sample_rate_Hz": 1 / record.sample_time,
             "duration_s": float(record.time[-1] - record.time[0]),

@@ -17,7 +17,7 @@ const json = (body) => ({ method: "POST", headers: TYPE, body: JSON.stringify(bo
 const post = async (path, body = {}) => (await request(path, json(body))).json();
 
 export const excite = (body) => post("/api/excitations", body);
-// With { columns }, the values of its { form }, or { verified }.
+// With { columns }, or the values of its { form }.
 export const readRecord = (id, body) => post(`/api/records/${id}/read`, body);
 export const identify = (body) => post("/api/models", body);
 // "end" of its identification, or a job on it, which is announced: "insight", "check", "update", "follow", "export".
