@@ -1,4 +1,4 @@
-"""Many records identified at once by Dask: one table with one row per record, continued where it ends."""
+"""Identification of many records by Dask: one table with one row per record, which a later run continues."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ __all__ = ["FleetTable", "identify_fleet"]
 TEXTS = ("record", "reason", "model")
 NUMBERS = ("promise_percent", "stroke_um", "loop_width_um", "lag_ms", "creep_percent", "noise_nm")
 COLUMNS = (TEXTS[0], *NUMBERS, *TEXTS[1:])
-# Seconds to wait for a scheduler with a worker; least seconds between two writes of the table, and how many times the
-# duration of a write.
+# Seconds to wait for a scheduler with a worker; least time between two writes of the table: in seconds, and as a
+# multiple of the duration of a write.
 _PATIENCE, _OFTEN, _SELDOM = 30, 5.0, 20.0
-# Dask's own threshold of 64 kB makes a record take half as much processor time again, and nobody looks at profiles.
+# With Dask's default threshold of 64 kB a record takes 50 % more processor time. The profiler is off: nobody uses it.
 _SETTINGS = {
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 1 << 27,
     "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 1 << 25,
@@ -46,9 +46,9 @@ _Row = dict[str, Any]
 
 
 class FleetTable(NamedTuple):
-    """A table that was written: its `path`, and how many records it has.
+    """A written table: its `path`, and numbers of rows.
 
-    `records`: rows. `computed`: rows of this run; the others were there already. `refused`: rows with a reason. The
+    `records`: all rows. `computed`: rows of this run; the others existed already. `refused`: rows with a reason. The
     columns: record, promise_percent [% of the stroke], stroke_um, loop_width_um (at the middle of the voltages),
     lag_ms, creep_percent (after a sudden rise, of the rise), noise_nm, reason (empty if the model may be used), model
     (JSON, for `dehyst.Actuator.from_dict`). A number that is not known is null.
@@ -71,23 +71,23 @@ def identify_fleet(
 ) -> FleetTable:
     """Identify each record with all defaults of `dehyst.identify`, and write one table with one row per record.
 
-    Records whose names are in the table already keep their rows; only the others are computed. The table is written
-    again every few seconds, and whole, so that a run that was stopped or killed is continued by the same call.
+    Records whose names are already in the table keep their rows; only the others are computed. The whole table is
+    rewritten every few seconds, so that the same call continues a run that was stopped or killed.
 
     Parameters
     ----------
     records : path or sequence of paths
-        A folder, in which each file that `dehyst.read` opens is a record, or files. The name of a record is its path
-        within the folder, or as it is given.
+        Files, or a folder: each file in it that `dehyst.read` opens is a record. The name of a record is its path
+        within the folder, or the given path.
     output : path
         The table, .parquet; `FleetTable` describes its columns.
     scheduler : str, optional
-        Address of a Dask scheduler, as "tcp://host:8786", whose workers see the same files. By default the run has a
-        process for each processor.
+        Address of a Dask scheduler, such as "tcp://host:8786", whose workers see the same files. By default the run
+        starts one process for each processor.
     read : callable, optional
         Function of a path that returns the record.
     again : bool
-        Whether to compute all records, and replace a table that is there.
+        Whether to compute all records and replace an existing table.
     progress : callable, optional
         Called with a line of text.
 
@@ -98,7 +98,7 @@ def identify_fleet(
     Raises
     ------
     FileFormatError
-        If there are no records, two have one name, or the output is no such table.
+        If there are no records, two records have the same name, or the output file is not such a table.
     MissingExtraError
         If a library of the extra `fleet` is not installed.
     RigError
@@ -136,7 +136,7 @@ def _named(records: PathLike | Sequence[PathLike], output: Path) -> dict[str, Pa
             if not path.is_file():
                 got = "a folder among files" if path.is_dir() else "no such file"
                 raise FileFormatError(argument="records", got=f"{path}: {got}", need="one folder, or files that exist")
-    # A table in the folder of its records is no record.
+    # The table may lie in the folder of the records: it is not a record.
     paths = [(_text(name), path.absolute()) for name, path in named if path.absolute() != output.absolute()]
     if not paths:
         raise FileFormatError(argument="records", got=f"no record in {records}", need="a folder with files, or files")
@@ -153,11 +153,11 @@ def _text(name: Path) -> str:
 
 
 def _computed(client: Any, paths: Mapping[str, Path], read: Callable[[Path], Record]) -> Iterator[_Row]:
-    """Yield the row of each record as soon as it is there."""
+    """Yield the row of each record as soon as it is computed."""
     distributed = library("distributed", "A fleet", "fleet")
     futures = client.map(partial(row_of, read), list(paths), list(paths.values()), pure=False)
     names = dict(zip(futures, paths, strict=True))
-    # Each result is dropped with its future.
+    # Dask then frees each result after use.
     del futures
     for future in distributed.as_completed(list(names)):
         name = names.pop(future)
@@ -166,16 +166,16 @@ def _computed(client: Any, paths: Mapping[str, Path], read: Callable[[Path], Rec
         elif future.status != "error":
             raise CancelledError
         elif isinstance(error := future.exception(), distributed.KilledWorker):
-            yield _row(name, reason="its process died several times; is there memory enough?")
+            yield _row(name, reason="its process died several times; check that there is enough memory")
         else:
             raise LinkError(
-                f"a worker of Dask failed ({type(error).__name__}: {error}); do scheduler and workers have this "
-                "dehyst, and the libraries that read the files?"
+                f"a worker of Dask failed ({type(error).__name__}: {error}); check that scheduler and workers have "
+                "this version of dehyst, and the libraries that read the files"
             ) from error
 
 
 def row_of(read: Callable[[Path], Record], name: str, path: Path) -> _Row:
-    """Return the row of a record; only a library that is missing is an error."""
+    """Return the row of a record; only a missing library raises an error."""
     known: _Row = {}
     try:
         with one_thread():
@@ -190,7 +190,7 @@ def row_of(read: Callable[[Path], Record], name: str, path: Path) -> _Row:
         raise
     except DehystError as error:
         return _row(name, **known, reason=str(error))
-    except Exception as error:  # nothing in one record stops the others
+    except Exception as error:  # an error in one record must not stop the others
         return _row(name, **known, reason=f"unexpected {type(error).__name__}: {error}")
 
 
@@ -199,7 +199,7 @@ def _row(name: str, *, reason: str, **known: Any) -> _Row:
 
 
 def _described(actuator: Actuator) -> _Row:
-    """Return the numbers of a model, and the model."""
+    """Return the columns of a model: its numbers and its JSON."""
     return {
         "loop_width_um": 1e6 * loop_width(actuator),
         "lag_ms": 1e3 * (actuator.delay + actuator.lag),
@@ -225,13 +225,13 @@ def _rows_of(path: Path) -> list[_Row]:
     with reading(path, "Parquet", float("inf")) as stream:
         table = library("pyarrow.parquet", "A fleet", "fleet").read_table(stream)
     if tuple(table.column_names) != COLUMNS:
-        raise FileFormatError(f"{path}: is no table of a fleet; give another name, or remove the file")
+        raise FileFormatError(f"{path}: is not a table of a fleet; give another name, or remove the file")
     return list(table.to_pylist())
 
 
 @contextmanager
 def _writing(path: Path, rows: dict[str, _Row], more: int, report: Progress) -> Iterator[Callable[[_Row], None]]:
-    """Yield a function that keeps a row, of `more`; the table is written now and then, and at the end in any case."""
+    """Yield a function that keeps a row; `more` rows will come. Write the table from time to time and at the end."""
     library("pyarrow.parquet", "A fleet", "fleet")
     written, duration, total = time.monotonic(), 0.0, counted(len(rows) + more, "record")
     report(f"{len(rows)} of {total}")
@@ -253,7 +253,7 @@ def _writing(path: Path, rows: dict[str, _Row], more: int, report: Progress) -> 
         yield keep
         report("")
     except KeyboardInterrupt as stop:
-        stop.add_note("what was computed is in the table; the same command continues it")
+        stop.add_note("the computed rows are in the table; the same command continues it")
         raise
     finally:
         write()
@@ -269,8 +269,8 @@ def _write(path: Path, rows: list[_Row]) -> None:
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C back; processes that start meanwhile never see it, so that only the client handles it."""
-    # Its start would release all signals.
+    """Block Ctrl-C for processes that start in this context, so that only the client handles it."""
+    # The tracker starts before: its start would unblock all signals.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -281,7 +281,7 @@ def _uninterrupted() -> Iterator[None]:
 
 @contextmanager
 def _connected(scheduler: str | None) -> Iterator[Any]:
-    """Yield a client of a scheduler, by default of one with local processes, which end with it."""
+    """Yield a client of a scheduler; by default the scheduler has local processes, which end with the client."""
     from dask import config
 
     distributed = library("distributed", "A fleet", "fleet")
@@ -305,6 +305,6 @@ def _connected(scheduler: str | None) -> Iterator[Any]:
             yield client
     except DehystError:
         raise
-    # Dask raises several errors while its scheduler ends.
+    # Dask raises one of several errors when its scheduler ends.
     except (OSError, CancelledError) as error:
         raise LinkError("the connection to Dask is lost; the same command continues the table") from error

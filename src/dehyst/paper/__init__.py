@@ -1,4 +1,4 @@
-"""What the paper defines: its identification, and its experiment on a virtual actuator."""
+"""The paper's identification, and the paper's experiment on a virtual actuator."""
 
 from dehyst.paper.methods import PaperFit, identify
 from dehyst.paper.run import Paper

@@ -18,16 +18,16 @@ from dehyst.records import Record, largest, percent
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops, raised_cosine
 
-# The paper names the major loop's peak only; those of the two minor loops are a choice, in the ratio 10 : 7 : 3.5.
+# The paper states the peak of the major loop only; we chose the peaks of the two minor loops (ratio 10 : 7 : 3.5).
 PEAKS = {"major": 200.0, "medium": 140.0, "small": 70.0}
 PRE_ENERGISED = 100.0
 CYCLES = 3
 DRIVE = Sampling(frequency=0.01, sample_rate=5.0)
-# Elements of the paper's method, and of the identification from whole records.
+# Number of elements of the paper's method, and of the identification from whole records.
 ELEMENTS, MORE_ELEMENTS = 10, 40
-# With it the nominal ratio misses a full-stroke raised cosine by what the paper reports, 13.6 % of the range.
+# With this width the nominal ratio misses a full-stroke raised cosine by 13.6 % of the range, as the paper reports.
 WIDTH = 0.715
-# Samples of half a cycle and of a cycle.
+# Number of samples of half a cycle and of a cycle.
 _HALF, CYCLE = int(DRIVE.rate * DRIVE.half), int(2 * DRIVE.rate * DRIVE.half)
 # Voltages applied between the relaxed state and t = 0.
 RELAXED, ENERGISED = "relaxed", "pre-energised"
@@ -38,7 +38,7 @@ STARTS = {RELAXED: np.zeros(1), ENERGISED: raised_cosine(PRE_ENERGISED, drive=DR
 class Measured:
     """A record whose sensor reads zero at its first sample, and the readings of a perfect sensor with the same zero.
 
-    `true` (n,) [m]. `zero`: where the sensor's zero lies on the actuator's own axis [m]. `start`: one of `STARTS`.
+    `true` (n,) [m]. `zero`: displacement of the actuator at which the sensor reads zero [m]. `start`: one of `STARTS`.
     """
 
     record: Record
@@ -48,7 +48,7 @@ class Measured:
 
     @classmethod
     def of(cls, truth: PlayActuator, start: str, voltage: Array, seed: int) -> Measured:
-        """Play a voltage from a start; the sensor is zeroed by its first, noisy, sample."""
+        """Play a voltage from a start; the first sample, with its noise, sets the zero of the sensor."""
         sensed, exact = replace(truth, seed=truth.seed + seed), replace(truth, noise=0.0)
         for actuator in (sensed, exact):
             actuator.play(STARTS[start], measured=False)
@@ -88,9 +88,9 @@ class PaperTracking:
 class PaperTrial:
     """An identified model compared with the truth.
 
-    `simulated` (n,): displacement [m] for the voltage of the run, from the run alone: no constant is fitted. `errors`:
-    largest ones against the truth of each amplitude, from the first peak on [% of the range]. `shift`: by how much
-    Eq. 10 predicts the loop to lie above the relaxed one after pre-energising [m].
+    `simulated` (n,): displacement [m] from the voltage of the run alone; no constant is fitted. `errors`: largest error
+    against the truth for each amplitude, from the first peak on [% of the range]. `shift`: predicted displacement [m]
+    of the loop after pre-energising, relative to the relaxed loop (Eq. 10).
     """
 
     actuator: Actuator
@@ -102,7 +102,7 @@ class PaperTrial:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """One virtual actuator: its runs, its major and small loop with their break points, and every trial."""
+    """One virtual actuator: its runs, its major and small loop with break points, and all trials."""
 
     truth: PlayActuator
     runs: Mapping[str, Measured]
@@ -124,12 +124,12 @@ class Experiment:
 
 
 def virtual_actuator(*, asymmetric: bool = True) -> PlayActuator:
-    """Return the virtual E-280.10, 16.152 um at 200 V, with its asymmetric map or without."""
+    """Return the virtual E-280.10, 16.152 um at 200 V, with or without its asymmetric map."""
     return PlayActuator(width=WIDTH) if asymmetric else PlayActuator(width=WIDTH, asymmetry=0.0, bend=0.0)
 
 
 def run(truth: PlayActuator, progress: Progress) -> Experiment:
-    """Run the paper's protocol on an actuator and identify it in every way; seeded and thus reproducible."""
+    """Run the paper's protocol on an actuator and identify it by all methods; seeds make the result reproducible."""
     progress("recording loops, relaxed and pre-energised")
     loops = raised_cosine(list(PEAKS.values()), cycles=CYCLES, drive=DRIVE).voltage
     runs = {start: Measured.of(truth, start, loops, seed) for seed, start in enumerate(STARTS)}
@@ -139,7 +139,7 @@ def run(truth: PlayActuator, progress: Progress) -> Experiment:
     progress("identifying by the paper's method")
     models = {"breakpoints": identify(major_and_small, elements=ELEMENTS).actuator}
     progress("identifying from whole records")
-    # Recorded later, with the sensor's zero left where it was.
+    # The tops were recorded later, and the zero of the sensor was kept.
     tops = runs["tops"]
     moved = tops.record.displacement + tops.zero - relaxed.zero
     models["record"] = _from_records(
@@ -162,8 +162,8 @@ def paper_trial(truth: PlayActuator, run: Measured, actuator: Actuator) -> Paper
     simulated = actuator.simulate(run.record.voltage, extrapolate=True).displacement
     missed = simulated - run.true
     errors = {loop: percent(largest(missed[run.known(loop)]), truth.stroke) for loop in PEAKS}
-    # Eq. 10: the sensor reads y - y(0), and once every element has slid y does not depend on the start (Lemma 1): the
-    # rest of the loop moves in the (v, y) plane by -(y(0) - y_relaxed), the paper's -(keq/km) x(0).
+    # Eq. 10: the sensor reads y - y(0). After every element has slid, y does not depend on the start (Lemma 1), and the
+    # rest of the loop moves in the (v, y) plane by -(y(0) - y_relaxed); the paper writes -(keq/km) x(0).
     energised = _after(actuator, STARTS[ENERGISED], actuator.relaxed())
     rest = actuator.relaxed(actuator.voltage(energised), extrapolate=True)
     tracking = _track(truth, run, actuator)
@@ -173,7 +173,7 @@ def paper_trial(truth: PlayActuator, run: Measured, actuator: Actuator) -> Paper
 def _track(truth: PlayActuator, run: Measured, actuator: Actuator | None) -> PaperTracking:
     """Track two raised cosines of the full stroke after a major loop, by inverse control or by the nominal ratio."""
     shape = raised_cosine(1.0, cycles=2, drive=DRIVE).voltage
-    # From the lower turning point of the major loop, as the sensor shows it.
+    # The path begins at the lower turning point of the major loop, as the sensor measures it.
     bottom = float(run.record.displacement[[CYCLE * i for i in range(1, CYCLES + 1)]].mean())
     wanted = bottom + truth.stroke * shape
     homing, voltage = raised_cosine(truth.highest, drive=DRIVE).voltage, truth.highest * shape

@@ -35,7 +35,7 @@ _FIGURES: dict[int, tuple[Callable[..., None], dict[str, Any]]] = {}
 
 @dataclass(frozen=True, eq=False)
 class Plate:
-    """A figure of the paper for the virtual actuator, under the paper's `number`; a `wide` one takes two columns."""
+    """A figure of the paper for the virtual actuator, with the paper's `number`; `wide`: over two columns."""
 
     number: int
     title: str
@@ -50,7 +50,7 @@ class Plate:
 
 
 def plates(found: Experiment, symmetric: Experiment, progress: Progress) -> Iterator[Plate]:
-    """Draw each figure, from the virtual E-280.10 and the same without its asymmetric map, and report each before.
+    """Draw the figures of the virtual E-280.10, with and without its asymmetric map; report each before it is drawn.
 
     Raise `MissingExtraError` if matplotlib is not installed.
     """
@@ -62,7 +62,7 @@ def plates(found: Experiment, symmetric: Experiment, progress: Progress) -> Iter
 
 
 def _figure(number: int, **layout: Any) -> Callable[[_Draw], _Draw]:
-    """Register what draws a figure on axes of a layout; its docstring is the title and the caption of the figure."""
+    """Register a function that draws a figure on axes of a layout; its docstring is the title and the caption."""
 
     def register(draw: _Draw) -> _Draw:
         _FIGURES[number] = draw, layout
@@ -80,7 +80,7 @@ def _major(found: Experiment, start: str = RELAXED) -> tuple[Array, Array]:
 def _finish(
     ax: Axes, x: str, y: str, legend: _Place = "", letter: str = "", *, zero: bool = False, **limits: Any
 ) -> None:
-    """Label axes; set a legend at a place, a letter above them, and a line at zero, where they are asked for."""
+    """Label axes; add a legend at a place, a letter above, and a line at zero, if requested."""
     ax.set(xlabel=x, ylabel=y, **limits)
     if legend:
         ax.legend(loc=legend)
@@ -91,13 +91,13 @@ def _finish(
 
 
 def _span(ax: Axes, x: float, low: float, other: float) -> None:
-    """Draw a double arrow along the ordinate."""
+    """Draw a double arrow in the direction of the ordinate."""
     arrow = {"arrowstyle": "<->", "lw": 0.8, "color": INK, "shrinkA": 0, "shrinkB": 0}
     ax.annotate("", (x, low), (x, other), arrowprops=arrow)
 
 
 def _legend_above(ax: Axes) -> None:
-    """Set a legend above all axes, for where it would hide data inside."""
+    """Set a legend above all axes, for figures where it would hide data inside."""
     handles, labels = ax.get_legend_handles_labels()
     ax.figure.legend(handles, labels, loc="outside upper center", ncols=2, columnspacing=1.2, handlelength=2.0)
 
@@ -106,7 +106,7 @@ def _legend_above(ax: Axes) -> None:
 def _typical_loop(found: Experiment, _: Experiment, ax: Axes) -> None:
     """Draw a typical hysteresis loop.
 
-    From the relaxed state. 0 V leads to the residual displacement.
+    The loop starts from the relaxed state. At 0 V the residual displacement is left.
     """
     v, y = _major(found)
     rise, loop = slice(0, CYCLE // 2 + 1), slice(CYCLE // 2, CYCLE // 2 + CYCLE + 1)
@@ -123,8 +123,8 @@ def _antisymmetry(found: Experiment, symmetric: Experiment, left: Axes, right: A
     """Draw anti-symmetry.
 
     (a) The loop and its image under a half-turn about its centre; break points of the descending (full) and the
-    ascending branch (hollow). Lemma 2: without the nonlinear spring the two coincide. (b) Distance of the midpoints
-    of pairs of break points from the centre, with and without the asymmetric map.
+    ascending branch (hollow). Lemma 2: without the nonlinear spring, loop and image coincide. (b) Distance of the
+    midpoints of pairs of break points from the centre, with and without the asymmetric map.
     """
     v, y = (column[-CYCLE - 1 :] for column in _major(found))
     loop, pairs = found.loops[0], np.arange(1, ELEMENTS)
@@ -139,7 +139,7 @@ def _antisymmetry(found: Experiment, symmetric: Experiment, left: Axes, right: A
     right.plot(pairs, found.midpoints, marker="o", ms=4, lw=0.8, color=plots.MEASURED, label="virtual E-280.10")
     right.plot(pairs, symmetric.midpoints, label="without its asymmetric map", color=plots.FALLING, **hollow)
     ends_of_y = (None, 1.45 * found.midpoints.max() + 0.5)
-    x, y_label = "pair of break points i", "midpoint less v₀/2 (V)"
+    x, y_label = "pair of break points i", "midpoint − v₀/2 (V)"
     _finish(right, x, y_label, "upper right", "(b)", zero=True, ylim=ends_of_y, xticks=pairs)
 
 
@@ -147,8 +147,8 @@ def _antisymmetry(found: Experiment, symmetric: Experiment, left: Axes, right: A
 def _break_points(found: Experiment, _: Experiment, ax: Axes) -> None:
     """Draw break points and segments.
 
-    The range from y(T₀) to y(T₀/2) in N equal parts. The paper's method uses only these points of the loop; its
-    model is straight between a turning point and the first of them, the loop is not.
+    Break points divide the range from y(T₀) to y(T₀/2) into N equal parts. The paper's method uses only these points.
+    Between a turning point and the first break point its model is straight, but the measured loop is not.
     """
     v, y = (column[-CYCLE - 1 :] for column in _major(found))
     loop = found.loops[0]
@@ -183,8 +183,8 @@ def _break_points(found: Experiment, _: Experiment, ax: Axes) -> None:
 def _initial_states(found: Experiment, _: Experiment, left: Axes, right: Axes) -> None:
     """Draw initial states.
 
-    (a) The same voltage from the relaxed state, and after a voltage that was applied and removed. (b) The
-    difference, constant from the first peak on (Eq. 10), and the models' predictions of it.
+    (a) The same voltage from the relaxed state, and after another voltage was applied and removed. (b) The
+    difference of the two loops, constant from the first peak on (Eq. 10), and its predictions by the models.
     """
     (v, relaxed), energised, half = _major(found), _major(found, ENERGISED)[1], CYCLE // 2
     moved = energised - relaxed
@@ -198,15 +198,15 @@ def _initial_states(found: Experiment, _: Experiment, left: Axes, right: Axes) -
         style = {**_LINES[key], "label": f"Eq. 10, {_LINES[key]['label']}"}
         right.axhline(1e6 * found.trials[key].shift, **style)
     lowest = 1e6 * found.shift.mean() - 0.25
-    _finish(right, _VOLTAGE, "pre-energised less relaxed (µm)", "upper right", "(b)", ylim=(lowest, 0.25))
+    _finish(right, _VOLTAGE, "pre-energised − relaxed (µm)", "upper right", "(b)", ylim=(lowest, 0.25))
 
 
 @_figure(7, size=(PAGE, 4.4), rows=2, columns=2, share=True)
 def _loops(found: Experiment, _: Experiment, *axes: Axes) -> None:
     """Draw loops measured and simulated.
 
-    The major and the small loop were fitted, and descending tops by (b); the medium one was not. Below: measured minus
-    simulated in the last cycle.
+    Both methods fitted the major and the small loop; (b) also fitted descending tops. The medium loop was held out.
+    Below: measured minus simulated in the last cycle.
     """
     run = found.runs[RELAXED]
     shown = {"breakpoints": "(a) paper's method, N = 10", "record": "(b) whole records, N = 40"}
@@ -231,8 +231,8 @@ def _loops(found: Experiment, _: Experiment, *axes: Axes) -> None:
 def _parallel_spring(found: Experiment, _: Experiment, ax: Axes) -> None:
     """Draw the parallel spring.
 
-    h = keq x + g rises everywhere: Assumption I holds. With the paper's constants g is strongly negative; only h
-    matters.
+    h = keq x + g rises everywhere: Assumption I holds. With the paper's constants g is strongly negative, but only h
+    has an effect.
     """
     p = physical(found)
     x, linear = 1e6 * p.deformation, p.equivalent_stiffness * p.deformation
@@ -246,7 +246,7 @@ def _parallel_spring(found: Experiment, _: Experiment, ax: Axes) -> None:
 def _right_extreme(found: Experiment, _: Experiment, ax: Axes) -> None:
     """Draw right extreme of a minor loop.
 
-    The medium loop where it turns. The model is straight until the first element slips.
+    The turning point of the medium loop. The model is straight until the first element slips.
     """
     run = found.runs[RELAXED]
     last = slice(run.known("medium").stop - CYCLE - 1, run.known("medium").stop)
@@ -268,7 +268,7 @@ def _right_extreme(found: Experiment, _: Experiment, ax: Axes) -> None:
 def _control_voltages(found: Experiment, _: Experiment, upper: Axes, lower: Axes) -> None:
     """Draw control voltages.
 
-    (a) Voltages for a raised cosine over the full range. (b) What inverse control adds to the nominal ratio.
+    (a) Voltages for a raised cosine over the full range. (b) Inverse control minus the nominal ratio.
     """
     time, nominal = found.nominal.time, found.nominal.voltage
     plots.line(upper, time, nominal, **_LINES["nominal"])
@@ -285,7 +285,7 @@ def _control_voltages(found: Experiment, _: Experiment, upper: Axes, lower: Axes
 def _trajectories(found: Experiment, _: Experiment, ax: Axes) -> None:
     """Draw trajectories.
 
-    The path wanted, and the true displacement with the voltages of Fig. 10, after one cycle that makes the state
+    The wanted path, and the true displacement with the voltages of Fig. 10, after one cycle that makes the state
     known.
     """
     time, wanted = found.nominal.time, 1e6 * found.nominal.wanted
@@ -301,8 +301,8 @@ def _trajectories(found: Experiment, _: Experiment, ax: Axes) -> None:
 def _tracking_errors(found: Experiment, symmetric: Experiment, upper: Axes, middle: Axes, lower: Axes) -> None:
     """Draw tracking errors.
 
-    Reached minus wanted. (c) is for an actuator that differs only in having no asymmetric map: the difference from
-    (b) is due to the model class.
+    Reached minus wanted displacement. In (c) the actuator has no asymmetric map and is otherwise the same: the
+    difference from (b) is due to the model class.
     """
     time = found.nominal.time
     plots.line(upper, time, found.nominal.error, **_LINES["nominal"])

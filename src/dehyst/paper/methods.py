@@ -1,11 +1,11 @@
 """The paper's identification: break points of averaged loops, and a linear program (Sec. 4.1).
 
-Of the displacements y and voltages v of break points, with kappa_i = k_i / (T c), rho_i = c r_i and c = keq / km:
+Displacements y and voltages v of break points satisfy, with kappa_i = k_i / (T c), rho_i = c r_i and c = keq / km:
 
     v = sum_i kappa_i s_i + eta(y) + constant of the loop,   s_i = -+rho_i +- min(motion, 2 rho_i)
 
-s_i are the elongations on a branch on which every element that slides starts from its breakaway elongation; an element
-that is too long for a minor loop is a spring with an unknown constant force (Remark 4).
+s_i are the elongations on a branch where every sliding element starts from its breakaway elongation. An element that
+does not slide in a minor loop is a spring with an unknown constant force (Remark 4).
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from dehyst.records import Record, reversals
 
 # Displacements (n,) [m] and voltages (n,) [V] of one branch, in the order of motion.
 Branch: TypeAlias = "tuple[Array, Array]"
-# Turning points closer to each other than this part of the stroke are the same.
+# Turning points closer than this part of the stroke count as the same.
 _SAME_TURN = 0.02
-# Least slope of the spring, as a part of the mean slope of the major loop, that keeps Assumption I by itself, and the
-# one that is imposed where it does not.
+# Slopes of the spring, as parts of the mean slope of the major loop: above the first, Assumption I holds; the second
+# is the least slope that the program imposes if it does not hold.
 _RISES, _FLOOR = 1e-3, 0.2
 
 
@@ -36,7 +36,7 @@ class BreakPointLoop:
     """A closed loop between two turning points, its cycles averaged.
 
     `bottom`, `top`: turning points [m]. `descending`, `ascending` (m, 2): break points (displacement [m], voltage [V])
-    of the branch, its two ends among them, in the order of motion.
+    of the branch and its two ends, in the order of motion.
     """
 
     bottom: float
@@ -58,9 +58,9 @@ class PaperFit:
     ----------
     actuator : Actuator
     outcome : str
-        "IDENTIFIED", "UNDETERMINED" by a single loop, or "ASSUMPTION_I_IMPOSED".
+        "IDENTIFIED"; "UNDETERMINED" with a single loop; or "ASSUMPTION_I_IMPOSED".
     loops : tuple of BreakPointLoop
-        The widest first.
+        Loops, the widest first.
     error : float
         Sum of absolute errors at the break points [V].
     """
@@ -94,8 +94,8 @@ def loops_of(records: Record | Sequence[Record], elements: int) -> tuple[BreakPo
 def _closed(record: Record) -> list[tuple[float, float, list[Branch], list[Branch]]]:
     """Return mean turning points [m], descending and ascending branches of each closed loop of a record.
 
-    A branch is used if the motion before it was at least as wide: then every element that slides on it starts from its
-    breakaway elongation.
+    A branch is used if the motion before it was at least as wide. Then every element that slides on the branch starts
+    from its breakaway elongation.
     """
     turns = [0, *reversals(record).tolist(), len(record) - 1]
     y, v = record.displacement, record.voltage
@@ -123,8 +123,8 @@ def _closed(record: Record) -> list[tuple[float, float, list[Branch], list[Branc
 def voltage_at(branch: Branch, places: Array) -> Array:
     """Interpolate the voltage [V] of one branch at displacements `places` (m,) [m], shape (m,).
 
-    Noise moves the displacement of a branch back and forth; the mean of both its envelopes is used. Beyond the
-    branch's ends the voltage is constant.
+    Noise moves the displacement of a branch back and forth; the mean of its upper and lower envelopes is used. Beyond
+    the ends of the branch the voltage is constant.
     """
     y, v = branch if branch[0][-1] > branch[0][0] else (branch[0][::-1], branch[1][::-1])
     upper, lower = np.maximum.accumulate(y), np.minimum.accumulate(y[::-1])[::-1]
@@ -148,15 +148,15 @@ def identify(records: Record | Sequence[Record], *, elements: int = 10) -> Paper
     """Identify by the linear program of Sec. 4.1: least absolute errors at the break points of all loops.
 
     The turning points of the major loop are met exactly (Eq. 4 and closure). If the spring falls somewhere, the program
-    is solved again with Assumption I imposed. Where loops leave combinations of stiffnesses open, the program has many
-    optima, and returns one of them.
+    is solved again with Assumption I imposed. If the loops do not determine all combinations of stiffnesses, the
+    program has many optima, and returns one of them.
 
     Parameters
     ----------
     records : Record or sequence of Record
-        With closed loops; the sensor keeps its zero in all.
+        Records with closed loops; the sensor keeps its zero in all records.
     elements : int, optional
-        N.
+        Number N of elements.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def identify(records: Record | Sequence[Record], *, elements: int = 10) -> Paper
 
 
 def _grid(major: BreakPointLoop, elements: int) -> Array:
-    """Return the breakaway elongations whose break points are equally spaced (N,) [m]."""
+    """Return the breakaway elongations (N,) [m] whose break points are equally spaced."""
     return np.asarray(major.range / (2 * elements) * np.arange(1, elements + 1), dtype=np.float64)
 
 
@@ -195,7 +195,7 @@ def _least_absolute(loops: Sequence[BreakPointLoop], rho: Array, knots: Array, f
     scale, size = np.abs(rows).max(axis=0), float(np.abs(target).max())
     scale[scale == 0] = 1.0
     least = np.concatenate([np.zeros(elements), np.full(elements, floor), np.full(len(loops), -np.inf)]) * scale / size
-    # Effect of an error, added and taken away; none at the first loop's first two ends, its turning points.
+    # Columns of positive and negative errors; without errors at the two turning points of the first loop.
     most = np.full(count, np.inf)
     most[[0, len(loops[0].descending) - 1]] = 0.0
     errors = np.column_stack([np.zeros(2 * count), np.tile(most, 2)])
@@ -214,7 +214,7 @@ def _least_absolute(loops: Sequence[BreakPointLoop], rho: Array, knots: Array, f
 
 
 def _rows(loops: Sequence[BreakPointLoop], rho: Array, knots: Array) -> tuple[Array, Array]:
-    """Return a row for each break point: elongations, parts of the spring's segments, a constant for each loop."""
+    """Return a row for each break point: elongations, parts in the spring's segments, and a constant of each loop."""
     rows, target = [], []
     for number, loop in enumerate(loops):
         slides = 2 * rho <= loop.range * (1 + 1e-9)

@@ -25,14 +25,14 @@ _SOURCE = (
     "Syst. Meas. Control 128 (2006) 189-196, DOI 10.1115/1.2192819. Everything is seeded."
 )
 _OF_SUMMARY = (
-    "Largest errors in % of the range of the major loop, against the truth, which is known here: simulated from the "
-    "voltage alone, from the first peak on; no constant is fitted. Ten straight segments miss the loop after its "
+    "Largest errors against the truth, in % of the range of the major loop, from the first peak on. The models are "
+    "simulated from the voltage alone; no constant is fitted. Ten straight segments miss the loop after its "
     "turning points by about 1 %: the paper's 0.2 % needs a sharper bend."
 )
 _OF_TABLE1 = (
-    "With the paper's T, km and ke; its own numbers are not in the readable text. T/km makes 6 µm of 200 V, not "
-    "16.152: keq x is much too stiff, and g comes out strongly negative. The loops leave directions of the stiffnesses "
-    "open, so single values, especially zeros and k₁₀, belong to one of many optima."
+    "With the paper's T, km and ke; the paper's values are not legible in its text. T/km gives 6 µm at 200 V, not "
+    "16.152: keq x is much too stiff, and g becomes strongly negative. The loops do not determine all combinations of "
+    "stiffnesses: single values, especially zeros and k₁₀, belong to one of many optima."
 )
 _STYLE = """.plate svg{max-width:62rem}.plate.one svg{max-width:31rem}
 .plate svg text,.plate svg tspan{font-family:"DejaVu Sans","Bitstream Vera Sans",Verdana,Arial,sans-serif!important}
@@ -63,7 +63,7 @@ class Paper:
 
 
 def run(progress: Progress = lambda _: None) -> Paper:
-    """Run the paper's protocol, identify and track; seeded and thus reproducible."""
+    """Run the paper's protocol, identify and track; seeds make the result reproducible."""
 
     def of(name: str) -> Experiment:
         truth = experiment.virtual_actuator(asymmetric=name == "asymmetric")
@@ -75,8 +75,8 @@ def run(progress: Progress = lambda _: None) -> Paper:
 def write(result: Paper, folder: PathLike, progress: Progress = lambda _: None) -> list[Path]:
     """Write every figure (SVG, PNG), the numbers and a page to a folder; return the paths.
 
-    Files are index.html, results.json with the numbers of all tables, and figNN.svg and .png. Each is written wholly or
-    not at all, the page last, and none if a figure cannot be drawn. Each figure is reported to `progress` before it is
+    Files are index.html, results.json with the numbers of all tables, and figNN.svg and .png. Each file is written
+    whole, the page last; if a figure cannot be drawn, no file is written. `progress` reports each figure before it is
     drawn. Raise `FileFormatError` if the folder cannot be made or written to, `MissingExtraError` without matplotlib.
     """
     from dehyst.paper.figures import plates
@@ -92,7 +92,7 @@ def write(result: Paper, folder: PathLike, progress: Progress = lambda _: None) 
 
 
 def page(result: Paper, plates: Sequence[Plate]) -> str:
-    """Return the text of the page; the same text for the same experiments."""
+    """Return the text of the page; equal experiments give equal text."""
     parts = [f"<h1>{_TITLE}</h1>", _muted(_SOURCE), *_tables(result), *map(_figure, plates)]
     return document(_TITLE, parts).replace("</style>", f"{_STYLE}</style>", 1)
 

@@ -31,10 +31,10 @@ MODELS = {
 
 
 def summary(found: Experiment) -> list[dict[str, Any]]:
-    """Return the paper's numbers and those of one virtual actuator, as JSON values; errors are against the truth.
+    """Return the numbers of the paper and of one virtual actuator, as JSON values; errors are against the truth.
 
-    A row has a `key`, its `quantity` and its `unit`, the number of the `paper`, that of the `actuator` if no model is
-    needed, and that of each of `MODELS`.
+    A row has a `key`, a `quantity`, a `unit`, the number of the `paper`, the number of each of `MODELS`, and the number
+    of the `actuator` if no model is needed.
     """
     trials = {key: found.trials[key] for key in MODELS}
     shift = f"Shift of the loop by {PRE_ENERGISED:g} V before (Eq. 10)"

@@ -1,7 +1,7 @@
-"""The rehearsal of a rig: what every driver must do before it moves hardware, as tests for pytest.
+"""The rehearsal of a rig: pytest tests that every driver must pass before it moves hardware.
 
-A subclass of `RigContract` gives a candidate, and runs as any class of tests. Instruments to test on: `FakeInstrument`,
-the virtual actuator and `VirtualBench` of `dehyst.virtual`.
+A subclass of `RigContract` gives a candidate, and runs like any class of tests. Instruments for tests are
+`FakeInstrument`, and the virtual actuator and `VirtualBench` of `dehyst.virtual`.
 """
 
 from dehyst.testing.instrument import FakeInstrument

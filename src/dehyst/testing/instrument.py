@@ -1,4 +1,4 @@
-"""The least instrument, on which a rig is tested; and, before the suites are imported, what pytest needs for them."""
+"""The simplest instrument on which a rig is tested, and the set-up of pytest before the suites are imported."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ try:
 except ImportError as error:
     raise MissingExtraError("dehyst.testing needs pytest, which is not installed. Try: pip install pytest") from error
 
-# Failures show the values in the assertions of the suites.
+# A failure then shows the values in the assertion.
 pytest.register_assert_rewrite("dehyst.testing.rigs")
 LOW, HIGH = -20.0, 100.0
 
 
 class FakeInstrument:
-    """The least instrument behind a rig under test: an amplifier of -20 to 100 V, and a sensor that is proportional.
+    """The simplest instrument behind a rig under test: an amplifier of -20 to 100 V and a proportional sensor.
 
     Parameters
     ----------
     limits : (float, float)
         Lowest and highest voltage of the amplifier [V].
     gain : float
-        Displacement that the sensor reads for each volt [m/V]: that of the `RigCandidate`.
+        Reading of the sensor per volt [m/V], equal to the gain of the `RigCandidate`.
 
     Attributes
     ----------
     sent : list of float
-        All voltages that it put out [V]; the last is `voltage`, the first is 0.
+        All voltages that were put out [V]; the first is 0, the last is `voltage`.
     now : float
-        Its time [s], see `wait`.
+        Time of the instrument [s], see `wait`.
     playing : bool
-        Whether it plays a wave, which its owner sets.
+        Whether a wave is played; the owner of the instrument sets it.
     log : object
         Extremes of all voltages: `lowest`, `highest`, `largest_step` [V], and `refused`.
     """
@@ -47,7 +47,7 @@ class FakeInstrument:
 
     @property
     def voltage(self) -> float:
-        """What it puts out now [V]."""
+        """Present output [V]."""
         return self.sent[-1]
 
     def put(self, voltage: float) -> None:
@@ -59,9 +59,9 @@ class FakeInstrument:
         self.sent.append(float(voltage))
 
     def displacement(self, voltage: Array) -> Array:
-        """Return what the sensor reads [m] at each `voltage` [V]."""
+        """Return the sensor's reading [m] at each `voltage` [V]."""
         return self.gain * np.asarray(voltage)
 
     def wait(self, seconds: float) -> None:
-        """Let `seconds` pass: for the rig's ``_wait``, so that a test takes no time."""
+        """Advance the time by `seconds`; it replaces the ``_wait`` of the rig, so that a test takes no time."""
         self.now += seconds

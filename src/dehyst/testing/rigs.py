@@ -1,4 +1,4 @@
-"""What every rig must do: a suite of tests for authors of drivers, which dehyst's own drivers pass too."""
+"""A suite of tests that every rig must pass: for authors of drivers, and for the drivers of dehyst."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from dehyst.testing.instrument import HIGH, LOW, FakeInstrument
 from dehyst.waveforms import Excitation
 
 Bench: TypeAlias = Callable[..., tuple[AbstractRig, Any]]
-# Seconds between two steps of a ramp; highest rate [Hz], largest step [V] and longest table of an excitation.
+# Time between two steps of a ramp [s]; highest sample rate [Hz], largest step [V] and longest table of an excitation.
 _TICK, _RATE, _STEP, _LONGEST = 0.01, 1000.0, 1.0, 4096
-# Tolerance of displacements, as a share of the largest: noise, creep, and a recorder that is two samples late.
+# Tolerance of displacements, as a share of the largest, for noise, creep, and a recorder that is two samples late.
 _GAIN_ERROR = 0.05
-# Tolerance on a fake instrument, which has none of these: half of the last digit of a sensor of 9 bits.
+# Tolerance for a fake instrument without these errors: half of the last digit of a sensor of 9 bits.
 _DIGIT = 1e-3
 
 
 class RigCandidate(NamedTuple):
     """A rig under test.
 
-    `name`: in the reports of pytest. `open`: context manager that takes `limits` and `slew_rate`, and `longest`, to
-    which the rig's waves are shortened if that is possible; it yields the rig and the instrument behind it, which has
-    the attributes of a `FakeInstrument` (its `limits` are a pair of voltages), stands at 0 V, and allows -20 to 100 V.
-    `gain`: displacement at 80 V less the one at 0 V after it, over 80 V [m/V]. `volts`, `rate`: how far recorded
-    voltages [V] and the rate (relative) may be from what was asked for, as the device's digits are.
+    `name`: name in the reports of pytest. `open`: context manager with the options `limits`, `slew_rate` and `longest`
+    (number of samples to which the rig cuts waves, if it can). It yields the rig and the instrument behind it. The
+    instrument has the attributes of a `FakeInstrument`, starts at 0 V, and allows -20 to 100 V. `gain`: displacement at
+    80 V minus displacement at 0 V after it, over 80 V [m/V]. `volts`, `rate`: allowed deviations of recorded voltages
+    [V] and of the sample rate (relative) from the request, due to the device's digits.
     """
 
     name: str
@@ -55,17 +55,17 @@ def excitation(rig: AbstractRig, *corners: float, name: str = "corners", step: f
 
 
 def _fine_step(rig: AbstractRig) -> float:
-    """Return the step [V] of an excitation of which a wave table of the rig holds 32 V."""
+    """Return the step [V] with which a wave table of the rig holds a sweep of 32 V."""
     return 40.0 / min(rig.longest or 100, _LONGEST)
 
 
 def _put_out(instrument: Any) -> tuple[float, ...]:
-    """Return what can be seen of all that was ever put out."""
+    """Return the observable history of the output: the extremes, or all voltages."""
     return *astuple(instrument.log), instrument.voltage
 
 
 def _changes(voltage: ArrayLike, tolerance: float) -> Array:
-    """Return voltages (n,) [V] without those that repeat the one before."""
+    """Return voltages [V] from (n,) without those equal to the voltage before."""
     v = np.asarray(voltage, dtype=np.float64)
     return v[np.abs(np.diff(v, prepend=np.inf)) > tolerance]
 
@@ -85,7 +85,7 @@ def _failing() -> None:
 class RigContract:
     """The tests of a rig: limits, slew rate, ramps, records, and the retreat after each kind of error.
 
-    A subclass whose name begins with ``Test`` has a fixture `candidate` that returns a `RigCandidate`::
+    Write a subclass whose name begins with ``Test``, with a fixture `candidate` that returns a `RigCandidate`::
 
         class TestMyRig(RigContract):
             @pytest.fixture
@@ -152,7 +152,7 @@ class RigContract:
             slack = 2 / asked.sample_rate + max(0.01, candidate.rate) * asked.duration
             assert abs(record.time[-1] - record.time[0] - asked.duration) <= slack
         assert rig.nearest_rate(asked.sample_rate) == pytest.approx(asked.sample_rate)
-        # The sensor sees an actuator that follows.
+        # The measured displacement follows the voltage.
         assert np.sign(candidate.gain) * np.corrcoef(record.voltage, record.displacement)[0, 1] > 0.9
         assert _standing(instrument, 0.0, candidate)
         assert instrument.log.highest == pytest.approx(80.0, abs=candidate.volts)
@@ -161,7 +161,7 @@ class RigContract:
         assert (record.name, record.meta["rig"], record.meta["axis"]) == ("corners", rig.name, rig.axis)
 
     def test_displacements_are_the_instruments(self, bench: Bench, candidate: RigCandidate) -> None:
-        """In metres, by a single reading and in a record, which agree."""
+        """A single reading and a record agree, in metres."""
         rig, _ = bench()
         stroke = pytest.approx(80.0 * candidate.gain, rel=_GAIN_ERROR)
         record = rig.play(excitation(rig, 0, 80, 0))
@@ -175,10 +175,10 @@ class RigContract:
     def test_a_fake_instrument_got_and_gave_what_is_recorded(
         self, bench: Bench, candidate: RigCandidate, longest: int | None
     ) -> None:
-        """Each voltage of the wave and no other, its displacement, and the instrument's time."""
+        """The record holds each voltage of the wave and no other, its displacement, and the instrument's time."""
         rig, instrument = bench(longest=longest) if longest else bench()
         if not isinstance(instrument, FakeInstrument):
-            pytest.skip("the instrument behind it is no FakeInstrument, which remembers all voltages and the time")
+            pytest.skip("the instrument is not a FakeInstrument, which remembers all voltages and the time")
         asked = excitation(rig, 0, 60, 20, 80, 0)
         first, began, sent = rig.read(), instrument.now, len(instrument.sent)
         record = rig.play(asked)
@@ -188,7 +188,7 @@ class RigContract:
         truth = instrument.displacement(np.append(record.voltage, last.voltage))
         digits = _DIGIT * np.ptp(truth) + abs(candidate.gain) * candidate.volts
         assert np.append(record.displacement, last.displacement) == pytest.approx(truth, abs=digits)
-        if passed:  # not if the rig has a clock of its own
+        if passed:  # it is 0 if the rig has another clock
             slack = 2 / asked.sample_rate + 0.01 * passed
             assert abs(last.time - first.time - passed) <= slack
             assert abs(record.time[-1] - record.time[0] - passed) <= slack
@@ -200,7 +200,7 @@ class RigContract:
         rig, instrument = bench(longest=longest)
         if rig.longest is None:
             pytest.skip("its waves may have any length")
-        # A few samples from end to end, for tables of two.
+        # A table of two samples needs an excitation of a few samples.
         corners = (0, 12, 4) if rig.longest == 2 else (0, 60, 20, 80, 0)
         asked = excitation(rig, *corners, step=min(_STEP, _fine_step(rig)))
         record, rows = rig.play(asked), rig.rows(len(asked))

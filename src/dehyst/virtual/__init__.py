@@ -1,7 +1,7 @@
-"""A virtual actuator for demo, rehearsals and tests, which is not an instance of the package's models; and its bench.
+"""Virtual actuators for demo, rehearsals and tests, and a virtual bench for them.
 
-It shares no code with the models, and is hard for them as a limit of one of them: with ever more plays and segments
-Kuhnen's model approaches `PlayActuator` without creep.
+A virtual actuator shares no code with the models of the package, and is not an instance of them. It is the limit of
+Kuhnen's model with more and more plays and segments, if it has no creep.
 
 It has a `stroke` [m] at its `highest` voltage [V] on the major loop. `play(voltage, *, time=None, measured=True)`
 continues from the state that the last call reached; `relax` resets the state.

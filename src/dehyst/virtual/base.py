@@ -15,7 +15,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst._validation import vector
 
-# Digits of a fingerprint.
+# Number of digits of a fingerprint.
 _DIGITS = 12
 
 
@@ -37,10 +37,10 @@ class VirtualActuator(ABC):
     def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
         """Play a `voltage` (n,) [V] at the times (n,) [s]; return the displacement (n,) [m].
 
-        `time` (n,) [s], increasing, is needed by actuators that depend on time. If it begins after the last call's end,
-        the pause counts, and the actuator creeps in it. Other times begin anew: their first sample comes one of their
-        first intervals after the last call. With `measured`, the sensor's noise is added. Raise `ModelError` if the
-        voltage is not finite, or a time that is needed is missing or does not increase.
+        `time` (n,) [s], increasing, is needed by actuators that depend on time. If it begins after the end of the last
+        call, the actuator creeps during the pause. Other times start a new clock: the first sample comes one interval
+        (that of the first two samples) after the last call. With `measured`, the sensor's noise is added. Raise
+        `ModelError` if the voltage is not finite, or a needed time is missing or does not increase.
         """
         v = vector(voltage, "voltage")
         y = self._moved(v, time) if v.size else v
@@ -48,7 +48,7 @@ class VirtualActuator(ABC):
 
     @property
     def kind(self) -> str:
-        """The kind of actuator, for its fingerprint."""
+        """Kind of actuator, for the fingerprint."""
         return type(self).__name__.removesuffix("Actuator").lower()
 
     def parameters(self) -> dict[str, Any]:
@@ -70,7 +70,7 @@ class VirtualActuator(ABC):
 class Clock:
     """Converter of the times of successive calls into time steps.
 
-    `times` (n + 1,) [s]: the n times of the last call, after the time one step earlier.
+    `times` (n + 1,) [s]: the time one step before the last call, then the n times of that call.
     """
 
     def __init__(self) -> None:
@@ -80,9 +80,9 @@ class Clock:
     def steps(self, time: ArrayLike | None, count: int, why: str) -> Array:
         """Return the seconds (n,) that pass before each of `count` samples.
 
-        Times that begin after the end of the last call continue from it. Other times begin anew: the first sample comes
-        one of their first intervals after the last call, or after the rest at 0 V. Raise `ModelError` if the time is
-        missing, has another length, does not increase, or has no first interval.
+        Times that begin after the end of the last call continue from it. Other times start a new clock: the first
+        sample comes one interval (that of the first two samples) after the last call, or after the rest at 0 V. Raise
+        `ModelError` if the time is missing, has another length, does not increase, or has no such interval.
         """
         if time is None:
             raise ModelError(f"this actuator {why}: it needs the time of each sample; give the time [s]")

@@ -17,9 +17,9 @@ from dehyst.control import VoltageLimits
 from dehyst.virtual.base import Sensor, VirtualActuator
 from dehyst.virtual.stage import VirtualStage
 
-# Share of a servo period that a jump of the voltage takes. A ramp is played in parts of this share of the range.
+# Duration of a voltage jump, as a share of a servo period; steps in which a ramp is played, as a share of the range.
 _JUMP, _PART = 1e-3, 0.01
-# Share of a servo period by which a voltage may be late: what was put out just after a sample belongs to it.
+# A voltage put out up to this share of a servo period after a sample belongs to that sample.
 _LATE = 0.1
 
 
@@ -28,8 +28,8 @@ class Extremes:
     """The extremes of all voltages that an amplifier has put out.
 
     `lowest`, `highest`: voltages [V]. `largest_step`: largest change from one voltage to the next [V]. `steepest`:
-    largest slew rate [V/s]: change over the device's time between the two voltages, at least a servo period. `refused`:
-    number of requests outside the limits, which were not put out.
+    largest slew rate [V/s]: this change over the device's time between the voltages, or over a servo period if that is
+    longer. `refused`: number of refused requests, outside the limits.
     """
 
     lowest: float
@@ -39,7 +39,7 @@ class Extremes:
     refused: int = 0
 
     def update(self, voltage: Array, seconds: Array) -> None:
-        """Include voltages (n + 1,) [V], from the present one on, and the seconds (n,) between them."""
+        """Include voltages (n + 1,) [V], the present voltage first, and the seconds (n,) between them."""
         steps = np.abs(np.diff(voltage))
         self.lowest = min(self.lowest, float(voltage.min()))
         self.highest = max(self.highest, float(voltage.max()))
@@ -53,9 +53,8 @@ class BenchAxis:
     `limits`: lowest and highest voltage [V] of the amplifier. `voltage`, `target`: present output, and target voltage
     [V]. `log`: extremes of the output so far. `stroke`: stroke of the actuator [m]. `sensor_range`: lowest and highest
     displacement [m] of the sensor, which saturates beyond. `unplugged`: the reading of the sensor is constant. `servo`:
-    a closed loop holds the voltage, and no other is taken.
-    `stalled`: the wave generator plays nothing more, and does not end. `played`: number of samples of the present or
-    last wave that were put out so far.
+    a closed loop holds the voltage, and requests are refused. `stalled`: the wave generator stops playing, but does not
+    report an end. `played`: number of samples of the present or last wave that were put out so far.
     """
 
     def __init__(
@@ -91,7 +90,7 @@ class BenchAxis:
         return self.played < self._wave.size
 
     def displacement(self) -> float:
-        """Return the sensor's reading [m]: at present, or while a wave is played, at its last sample."""
+        """Return the sensor's reading [m] at present; while a wave is played, at its latest sample."""
         return float(self.sensed(self._stage.present()[self._index : self._index + 1])[0])
 
     def set_voltage(self, voltage: float) -> bool:
@@ -112,16 +111,16 @@ class BenchAxis:
         self._wave, self.target = self._wave[: self.played], self.voltage
 
     def sensed(self, displacement: Array) -> Array:
-        """Return the sensor's reading (n,) [m] of displacements: `displacement` (n,) [m]."""
+        """Return the sensor's reading (n,) [m] of a `displacement` (n,) [m]."""
         low, high = self.sensor_range or (-math.inf, math.inf)
         if self.unplugged:
             return np.full(displacement.size, low if math.isfinite(low) else 0.0)
         return np.clip(self._sensor.read(displacement), low, high)
 
     def admitted(self, wave: ArrayLike, divider: int, most: int) -> Array:
-        """Return the voltages (n,) [V] that `begin` would play, at most `most`; raise `DeviceError` if impossible.
+        """Return the voltages (n,) [V] that `begin` would play; raise `DeviceError` if it cannot play them.
 
-        `wave` (n,) [V]; `divider` as in `VirtualBench.start`.
+        `wave` (n,) [V]; `divider` as in `VirtualBench.start`; `most`: largest number of samples.
         """
         self._demand_open("start")
         v = vector(wave, "wave")
@@ -144,7 +143,7 @@ class BenchAxis:
     def advance(self, now: float) -> None:
         """Continue until `now` [s]: play the due samples of the wave, or let the actuator creep."""
         if self.playing and not self.stalled:
-            # Rounding must not lose a sample that is due now.
+            # The margin keeps a sample that is due now in spite of rounding.
             due = min(self._wave.size, math.floor((now - self._first) / self._period + 1e-6) + 1)
             if due > self.played:
                 self._follow(self._wave[self.played : due], self.times(self.played, due))
@@ -171,9 +170,9 @@ class BenchAxis:
         return False
 
     def _put_out(self, voltage: Array, at: Array) -> None:
-        """Put out voltages (n,) [V] at times (n,) [s], in straight lines; nothing else puts out a voltage.
+        """Put out voltages (n,) [V] at times (n,) [s], in straight lines; every output goes through this method.
 
-        Raise `DeviceError` if one is outside the limits; none is put out.
+        Raise `DeviceError`, and put out nothing, if a voltage is outside the limits.
         """
         if not self._allows(voltage):
             raise DeviceError(f"amplifier: got {voltage.min():.6g} to {voltage.max():.6g} V, need {self._limits.words}")
@@ -214,12 +213,12 @@ class BenchAxis:
 
 
 class VirtualBench:
-    """A piezo controller without a protocol: no input or output, no thread; its time is the clock's.
+    """A piezo controller without a protocol, without input and output, and without threads; a clock gives its time.
 
-    Every method and property of the bench first advances it to the present. In between, its time stands still, so
-    actions on several of its `axes` happen at one instant. It is not thread-safe: a server must hold a lock.
+    Every method and property of the bench first advances it to the present. Between calls its time stands still, so
+    that actions on several of its `axes` happen at one instant. It is not thread-safe: a server must hold a lock.
 
-    Raise `ModelError` if limits are no interval, or the slew rate is not positive.
+    Raise `ModelError` if the limits are not an interval, or the slew rate is not positive.
 
     Parameters
     ----------
@@ -227,17 +226,17 @@ class VirtualBench:
         The connected actuator, or a body with one actuator for each axis, at rest at 0 V; its fingerprint is the
         `serial` number.
     limits : (float, float) or sequence of (float, float), optional
-        Of the amplifiers [V], for all axes or for each; default: 0 V to its actuator's highest.
+        Limits of the amplifiers [V], for all axes or for each; default: 0 V to the highest voltage of the actuator.
     slew_rate : float, optional
-        Of the amplifiers [V/s], for voltages and waves; default: a voltage is reached at once.
+        Slew rate of the amplifiers [V/s], for voltages and waves; default: a voltage is reached at once.
     servo_period : float, optional
-        Period of the servo [s]; the samples of a wave are a whole number of periods apart.
+        Period of the servo [s]; the time between samples of a wave is a whole number of periods.
     wave_points, record_points : int, optional
         Sizes of the memories of each wave generator and of the recorder, for each axis.
     sensor_range : (float, float), optional
         Lowest and highest displacement [m] of each sensor.
     clock : callable, optional
-        Returns seconds, which never fall.
+        Function that returns the time [s], which never decreases.
     speed : float, optional
         Seconds of the device for each second of the clock.
     noise, seed : float, int, optional
@@ -284,7 +283,7 @@ class VirtualBench:
 
     @property
     def axis(self) -> BenchAxis:
-        """The first axis, and the only one of a single actuator."""
+        """The first axis; a single actuator has no other."""
         self.advance()
         return self.axes[0]
 
@@ -296,7 +295,7 @@ class VirtualBench:
 
     @property
     def recorded(self) -> int:
-        """Number of samples recorded of the present or last waves."""
+        """Number of recorded samples of the present or last waves."""
         self.advance()
         return self._recorded
 
@@ -308,11 +307,10 @@ class VirtualBench:
     def start(self, waves: ArrayLike | Mapping[int, ArrayLike], divider: int = 1) -> None:
         """Play waves on some axes from this instant, and record all axes.
 
-        `waves`: voltages (n,) [V] of the first axis, or by axis (0, 1, ...): sample k is put out at the present time +
+        `waves`: voltages (n,) [V] of the first axis, or by axis (0, 1, ...). Sample k is put out at the present time +
         k divider servo_period, and recorded just after. The output jumps to the first sample and then moves in straight
-        lines between samples. `divider`: servo periods between samples. Raise `DeviceError` if a voltage lies outside
-        its limits, there are no samples or too many, a wave is played or a servo is on. If one wave is refused, none is
-        played.
+        lines between samples. `divider`: number of servo periods between samples. Raise `DeviceError`, and play no
+        wave, if a voltage lies outside its limits, there are no samples or too many, a wave is played or a servo is on.
         """
         self.advance()
         given = waves if isinstance(waves, Mapping) else {0: waves}
@@ -333,16 +331,16 @@ class VirtualBench:
             axis.stop()
 
     def samples(self, first: int = 0, count: int | None = None, *, axis: int = 0) -> tuple[Array, Array, Array]:
-        """Return time [s], voltage [V] and displacement [m], (n,) each, of one `axis` (0, 1, ...) as recorded.
+        """Return recorded time [s], voltage [V] and displacement [m], (n,) each, of one `axis` (0, 1, ...).
 
-        They are the samples recorded so far, from `first` on, at most `count`.
+        They hold the samples recorded so far, from `first` on, at most `count`.
         """
         stop = self.recorded if count is None else min(self.recorded, first + count)
         rows = slice(max(first, 0), max(stop, 0))
         return self._times[rows].copy(), self._columns[0, axis, rows].copy(), self._columns[1, axis, rows].copy()
 
     def advance(self) -> None:
-        """Bring all axes up to the clock's time, and record what they did at the samples of the longest wave."""
+        """Advance all axes to the time of the clock, and record them at the samples of the longest wave."""
         self._now = max(self._now, (self._clock() - self._began) * self._speed)
         for axis in self.axes:
             axis.advance(self._now)

@@ -11,7 +11,7 @@ from dehyst._errors import ModelError
 from dehyst._types import Array
 from dehyst.virtual.base import Clock, Sensor, VirtualActuator, cubic_map, refuse_falling_map
 
-# Times [s] of the first-order branches that together creep by a logarithm of time.
+# Time constants [s] of first-order branches whose sum creeps as the logarithm of time.
 _CREEP_TIMES = np.geomspace(0.05, 1000.0, 12)
 
 
@@ -20,20 +20,20 @@ class PlayActuator(VirtualActuator):
     """Play operators of the voltage, summed and mapped asymmetrically.
 
     ``w = (1 - width) v / highest + width sum_j p_j play_{r_j}[v]``, 0 and 1 at the ends of the major loop, then
-    ``y = stroke (w + asymmetry w (w - 1) + bend w (w - 1)(w - 1/2))``: the loop is not anti-symmetric and its width
-    changes along the stroke. With creep, each low-pass of y is added to y: after a step, the displacement grows by a
-    logarithm of time from 0.1 s to 500 s, and beyond the stroke.
+    ``y = stroke (w + asymmetry w (w - 1) + bend w (w - 1)(w - 1/2))``. The loop is not anti-symmetric, and its width
+    changes along the stroke. With creep, low-pass filters of y are added to y: after a step, the displacement grows as
+    the logarithm of time from 0.1 s to 500 s, and exceeds the stroke.
 
     Parameters
     ----------
     width : float
         Share of the plays in w, 0 to 1.
     asymmetry, bend : float
-        Of the map; it must stay increasing.
+        Parameters of the map, which must increase.
     plays : int
-        Number of play operators, thresholds uniform up to half of `highest`.
+        Number of play operators, with thresholds equally spaced up to half of `highest`.
     creep : float
-        Share of a step that is added in each decade of time; 0.01 is 1 %. With creep, `play` needs the time.
+        Creep per decade of time, as a share of the step; 0.01 is 1 %. With creep, `play` needs the time.
     """
 
     stroke: float = 16.152e-6
@@ -65,7 +65,7 @@ class PlayActuator(VirtualActuator):
         self._clock = Clock()
 
     def _moved(self, v: Array, time: ArrayLike | None) -> Array:
-        """Move; only creep needs the `time`."""
+        """Move by a voltage; only creep needs the `time`."""
         steps = self._clock.steps(time, v.size, "creeps") if self.creep else None
         y = self._mapped(self._sum_plays(v))
         return y if steps is None else y + self._creep(y - self._mapped(self._level(np.zeros(1))), steps)
@@ -82,7 +82,7 @@ class PlayActuator(VirtualActuator):
         return (1 - self.width) * v / self.highest + self._level(summed)
 
     def _level(self, summed: Array) -> Array:
-        # A long descent to 0 V leaves each play at its threshold, a long rise that far below the highest voltage.
+        # After a long descent to 0 V each play is at its threshold, after a long rise at the highest voltage minus it.
         rest = float(self._weights @ self._thresholds)
         span = float(self._weights @ (self.highest - 2 * self._thresholds))
         return self.width * (summed - rest) / span
@@ -91,7 +91,7 @@ class PlayActuator(VirtualActuator):
         """Return the creep (n,) for a displacement (n,) since rest, exact if it is linear within a time step."""
         ratio = steps[:, None] / _CREEP_TIMES
         kept = np.exp(-ratio)
-        # The share of a linear rise over the step that a branch has followed at the step's end.
+        # Share of a linear rise in the step that a branch has followed at the end of the step.
         followed = 1 + np.expm1(-ratio) / ratio
         start = np.concatenate([[self._before], y[:-1]])
         pushed = start[:, None] * -np.expm1(-ratio) + (y - start)[:, None] * followed

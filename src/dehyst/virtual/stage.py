@@ -23,9 +23,9 @@ class VirtualStage:
     Parameters
     ----------
     actuators : sequence of VirtualActuator
-        One for each axis; their own noise is not used.
+        One for each axis; the noise of the actuators is not used.
     coupling : (axes, axes) array_like
-        Displacement of axis i by the displacement of actuator j; 1 on the diagonal.
+        Displacement of axis i per displacement of actuator j; 1 on the diagonal.
     noise, seed : float, int
         Standard deviation [m] and seed of the noise of each sensor.
     """
@@ -44,7 +44,7 @@ class VirtualStage:
             raise ModelError(
                 argument="coupling", got=f"the diagonal {np.diag(self.coupling).tolist()}", need="1 for each axis"
             )
-        # Time, voltage and own displacement of each axis since the last `take`, (3, n) each.
+        # Time, voltage and displacement of each actuator since the last `take`, (3, n) each.
         self._motions: list[list[Array]] = [[] for _ in driven]
         self.strokes = np.array([actuator.stroke for actuator in driven])
         self.highest = np.array([actuator.highest for actuator in driven])
@@ -73,7 +73,7 @@ class VirtualStage:
     def play(self, voltage: ArrayLike, *, time: ArrayLike | None = None, measured: bool = True) -> Array:
         """Play a `voltage` (n, axes) [V] at `time` (n,) [s]; return the displacements (n, axes) [m].
 
-        `time` is needed by actuators that move in time. With `measured` the sensors' noise is added.
+        `time` is needed by actuators that depend on time. With `measured` the noise of the sensors is added.
         """
         v = matrix(voltage, "voltage")
         if v.shape[1] != len(self):
@@ -84,13 +84,13 @@ class VirtualStage:
         return np.column_stack([sensor.read(y[:, i]) for i, sensor in enumerate(self._sensors)]) if measured else y
 
     def drive(self, axis: int, voltage: Array, time: ArrayLike | None = None) -> None:
-        """Play a `voltage` (n,) [V] at `time` (n,) [s] on the actuator of an `axis` (0, 1, ...), noting it."""
+        """Play a `voltage` (n,) [V] at `time` (n,) [s] on the actuator of an `axis` (0, 1, ...); keep the motion."""
         at = np.full(voltage.size, np.nan) if time is None else np.asarray(time, dtype=np.float64)
         own = self._driven[axis].play(voltage, time=time, measured=False)
         self._motions[axis].append(np.array([at, voltage, own]))
 
     def take(self) -> list[Array]:
-        """Return the motion of each axis since the last call and one sample before: rows (3, n) as in `joined`."""
+        """Return the motion of each axis since the last call, and one sample before: arrays (3, n) for `joined`."""
         taken = [np.concatenate(motions, axis=1) for motions in self._motions]
         self._motions = [[motion[:, -1:]] for motion in taken]
         return taken
@@ -98,9 +98,9 @@ class VirtualStage:
     def joined(self, motions: Sequence[Array]) -> Array:
         """Return the displacements (n, axes) [m] of the body.
 
-        `motions`: for each axis time, voltage and its own displacement, (3, n).
+        `motions`: time, voltage and displacement (3, n) of the actuator of each axis.
         """
-        # In a fixed order: a product of matrices would depend on the number of samples in its last digits.
+        # The order of the sum is fixed: the last digits of a matrix product would depend on the number of samples.
         y = np.zeros((motions[0].shape[1], len(motions)))
         for column, motion in zip(self.coupling.T, motions, strict=True):
             y += motion[2][:, None] * column
