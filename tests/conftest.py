@@ -1,22 +1,18 @@
-"""What every test shares: signals, Hypothesis without a stopwatch, and the C core compiled apart from Python."""
+"""What every test shares: signals, Hypothesis without a stopwatch, compilers that remember, and FMUs."""
 
 import os
 import resource
-import shutil
 import signal
-import subprocess
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
 import compiler_cache
-import places
 import profiles  # noqa: F401 - loads the profile of Hypothesis
 import pytest
 from workbench_page import chromium
 
 from dehyst._threads import one_thread
-from dehyst.exports.model_header import config_header
 
 # A runner in the background may ignore Ctrl-C and a hang-up; processes of the tests must not.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -69,7 +65,6 @@ def pytest_terminal_summary(terminalreporter):
 
 
 BEGAN, CPU = pytest.StashKey(), "cpu_s"
-STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -90,34 +85,6 @@ def compilers_that_remember(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PATH", str(programs), prepend=os.pathsep)
         yield
-
-
-class CompiledCore:
-    """A copy of the core in a folder of its own, compiled by gcc as a firmware would."""
-
-    def __init__(self, folder):
-        self.folder = folder
-        for source in places.CORE_FILES:
-            shutil.copy(source, folder)
-
-    def use_float(self):
-        """Write the one file that an export writes."""
-        (self.folder / "dehyst_config.h").write_text(config_header("float"))
-        return self
-
-    def compile(self, *options):
-        """Run gcc with the strict flags and `options`; return what it says."""
-        command = ["gcc", *STRICT, *options]
-        done = subprocess.run(command, cwd=self.folder, capture_output=True, text=True, check=False, timeout=120)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-
-@pytest.fixture
-def compiled(tmp_path):
-    if shutil.which("gcc") is None or shutil.which("nm") is None:
-        pytest.skip("gcc and nm are not installed: the C core cannot be compiled apart from Python")
-    return CompiledCore(tmp_path)
 
 
 @pytest.fixture(scope="session")

@@ -18,6 +18,7 @@ from dehyst.instruments import (
     SensorError,
     open_rig,
 )
+from dehyst.instruments.output import bounds_of_axes
 from dehyst.instruments.pi import PiRig
 from dehyst.waveforms import Excitation
 
@@ -250,13 +251,10 @@ class TestAddresses:
             rig.retreat()
 
     def test_limits_are_for_all_axes_or_for_each(self):
-        with served() as (server, _), rig_of(server, limits=(0, 50)) as rig:
-            assert [single.limits.high for single in rig.rigs] == [50.0] * 3
-        own = {"limits": [(0, 50), None, (0, 40)], "slew_rate": [200.0, None, 100.0]}
-        with served() as (server, _), rig_of(server, **own) as rig:
-            assert [single.limits.high for single in rig.rigs] == [50.0, LIMITS[1][1], 40.0]
-            assert [rig.rigs[j].slew_rate for j in (0, 2)] == [200.0, 100.0]
-        with served() as (server, _), pytest.raises(RigError, match="slew_rate: got 2 for 3"):
-            open_rig(f"pi://127.0.0.1:{server.port}/1,2,3", slew_rate=[1.0, 2.0])
-        with served() as (server, _), pytest.raises(RigError, match="limits: got 2 for 3"):
-            open_rig(f"pi://127.0.0.1:{server.port}/1,2,3", limits=LIMITS[:2])
+        assert bounds_of_axes((0, 50), None, 3) == [((0, 50), None)] * 3
+        own = [(0, 50), None, (0, 40)], [200.0, None, 100.0]
+        assert bounds_of_axes(*own, 3) == list(zip(*own, strict=True))
+        with pytest.raises(RigError, match="slew_rate: got 2 for 3"):
+            bounds_of_axes(None, [1.0, 2.0], 3)
+        with pytest.raises(RigError, match="limits: got 2 for 3"):
+            bounds_of_axes(LIMITS[:2], None, 3)

@@ -1,8 +1,8 @@
 """Smooth elements: the core's own mathematics, the laws of Dahl and of Bouc and Wen, and actuators that have them."""
 
 import math
-import subprocess
 
+import compiled_exports
 import numpy as np
 import plain_records
 import pytest
@@ -22,7 +22,7 @@ ACTUATOR = Actuator(SLIP, SPRING, smooth=SMOOTH)
 
 MATHEMATICS = r"""
 #include <stdio.h>
-#include "internal.h"
+#include "dehyst.c"
 int main(void)
 {
     double x;
@@ -33,28 +33,28 @@ int main(void)
 """
 
 
-def mathematics(compiled, x):
-    """Return decay(x) and log1p(min(x, 1)) of the core, compiled apart."""
-    (compiled.folder / "mathematics.c").write_text(MATHEMATICS)
-    compiled.compile("-O2", "mathematics.c", *plain_records.CORE_SOURCES, "-o", "mathematics")
-    command, text = [str(compiled.folder / "mathematics")], "\n".join(float(number).hex() for number in x)
-    done = subprocess.run(command, input=text, capture_output=True, text=True, check=True, timeout=60)
-    return np.array([[float.fromhex(word) for word in line.split()] for line in done.stdout.splitlines()]).T
+def mathematics(folder, number, x):
+    """Return decay(x) and log1p(min(x, 1)) of the exported core."""
+    compiled_exports.need("gcc")
+    compiled_exports.written(folder, compiled_exports.plain(), number)
+    (folder / "mathematics.c").write_text(MATHEMATICS)
+    compiled_exports.must_run(["gcc", *compiled_exports.STRICT, "-O2", "mathematics.c", "-o", "mathematics"], folder)
+    text = "\n".join(float(number).hex() for number in x)
+    words = compiled_exports.must_run(["./mathematics"], folder, input=text).split()
+    return np.array([float.fromhex(word) for word in words]).reshape(-1, 2).T
 
 
-@pytest.mark.parametrize(("single", "ulps"), [(False, 2), (True, 3)])
-def test_its_exponential_and_logarithm(compiled, single, ulps):
+@pytest.mark.parametrize(("number", "kind", "ulps"), [("double", np.float64, 2), ("float", np.float32, 3)])
+def test_its_exponential_and_logarithm(tmp_path, number, kind, ulps):
     """Within few units in the last place of Python's, from the smallest numbers to where nothing is left."""
-    kind = np.float32 if single else np.float64
     x = np.unique(np.concatenate([np.geomspace(1e-30, 60, 2001), np.linspace(0, 45, 2001)]).astype(kind))
     # About half-way between multiples of ln 2, and where the logarithm changes its form, the reduction is tightest.
     ties = (np.arange(60)[:, None] + 0.5) * math.log(2) * (1 + 1e-15 * np.arange(-4, 5))
     x = np.concatenate([x, ties.ravel().astype(kind), 0.4142 + 1e-6 * np.arange(-5, 6), [0.0, 1.0]]).astype(kind)
-    decay, logarithm = mathematics(compiled.use_float() if single else compiled, x)
-    expected = np.array([-math.expm1(-float(number)) for number in x])
-    assert np.all(np.abs(decay - expected) <= ulps * np.spacing(expected.astype(kind)))
-    expected = np.array([math.log1p(min(float(number), 1.0)) for number in x])
-    assert np.all(np.abs(logarithm - expected) <= ulps * np.spacing(expected.astype(kind)))
+    decay, logarithm = mathematics(tmp_path / "c", number, x)
+    for found, exact in ((decay, lambda v: -math.expm1(-v)), (logarithm, lambda v: math.log1p(min(v, 1.0)))):
+        expected = np.array([exact(float(v)) for v in x])
+        assert np.all(np.abs(found - expected) <= ulps * np.spacing(expected.astype(kind)))
 
 
 @given(our.SEEDS, st.integers(1, 5), st.integers(0, 60), st.sampled_from([1e-3, 0.1, 1, 30]))

@@ -7,12 +7,10 @@ lie where the test puts them, so that the identified grid and the true one can b
 from itertools import pairwise
 
 import numpy as np
-import places
 
 from dehyst import Actuator, MaxwellSlip, Record, Spring, State
 from dehyst.model import turned
 
-CORE_SOURCES = tuple(path.name for path in places.CORE_FILES if path.suffix == ".c" and "src" in path.parts)
 STROKE = 16e-6
 VOLTS = 200.0
 MAJOR = (1, 0, 1, 0, 1, 0)
