@@ -9,7 +9,6 @@ from command_line import WRITTEN, result, run
 
 from dehyst import Actuator, DisplacementCreep, wave_table
 from dehyst.control import PossibleStart
-from dehyst.model import evaluator_of, turned
 from dehyst.waveforms import Triangle
 
 TRIANGLE = ("triangle", "--low", 2, "--high", 12, "--frequency", 10)
@@ -34,26 +33,24 @@ def rows(path):
 
 
 @pytest.mark.parametrize("model", ["model.json", "creep.json"])
-def test_a_wave_table_its_start_up_and_its_homing_make_the_actuator_follow(folder, model):
-    given = ("--home", "--present", 20, "--table", "table.csv", "-o", "o.csv")
-    status, told = result("compensate", model, "scan.csv", *given, cwd=folder)
-    assert status == 0 and told["clamped"] == 0 and told["frequency_Hz"] == pytest.approx(10)
-    table = rows(folder / "table.csv")
-    assert (folder / "o.csv").read_text().startswith("time_s,phase,displacement_um,voltage_V,expected_um\n")
-    assert (folder / "table.csv").read_text().startswith("time_s,displacement_um,voltage_V,expected_um\n")
-    time, phase, wanted, voltage, _ = rows(folder / "o.csv")
-    assert int((phase == 2).sum()) == (told["start_up_cycles"] + 1) * 400 and phase.size == told["samples"]
-    assert phase[0] == 0
-    assert np.all(np.diff(phase) >= 0) and voltage[0] == 20
-    np.testing.assert_allclose(voltage[-400:], table[2], rtol=2 * WRITTEN)
-    np.testing.assert_allclose(wanted[-400:], table[1], rtol=2 * WRITTEN)
+@pytest.mark.parametrize("start", ["", "top"])
+def test_the_rows_of_both_files_are_those_of_the_wave_table(folder, model, start):
+    given = TOP if start else ("--home", "--present", 20)
+    status, told = result("compensate", model, "scan.csv", *given, "--table", "t.csv", "-o", "o.csv", cwd=folder)
     actuator = Actuator.load(folder / model)
-    # It begins elsewhere than the file takes for granted: the homing is there for that.
-    state = turned(actuator, evaluator_of(actuator).core.spring_inverse(20.0), rising=False)
-    voltage, wanted = np.append(voltage, np.tile(table[2], 59)), np.append(wanted, np.tile(table[1], 59))
-    time = np.append(time, time[-1] + np.arange(1, 59 * 400 + 1) / 4000)
-    made = actuator.simulate(voltage, time=time if model == "creep.json" else None, state=state).displacement * 1e6
-    assert np.abs(made - wanted)[-400:].max() <= max(1.05 * told["error_um"], 1e-9)
+    options = {"start": PossibleStart.named(actuator, start)} if start else {"present": 20.0}
+    table = wave_table(actuator, Triangle(2e-6, 12e-6, frequency=10).path(), **options)
+    plan, cycle = table.plan, table.cycle
+    # The cycle begins with the last sample of the plan.
+    before = (plan.time, plan.phase, 1e6 * plan.displacement, plan.voltage, 1e6 * plan.expected)
+    for name, columns in {
+        "o.csv": [column[:-1] for column in before],
+        "t.csv": (cycle.time, 1e6 * cycle.displacement, cycle.voltage, 1e6 * cycle.expected),
+    }.items():
+        np.testing.assert_allclose(rows(folder / name), columns, rtol=4 * WRITTEN, atol=1e-9)
+    assert (status, told["clamped"], told["samples"]) == (0, 0, plan.time.size - 1)
+    assert told["frequency_Hz"] == pytest.approx(10) and told["start_up_cycles"] == table.cycles
+    assert (folder / "o.csv").read_text().startswith("time_s,phase,displacement_um,voltage_V,expected_um\n")
 
 
 def test_an_axis_of_a_raster_and_steps(folder):
@@ -69,14 +66,6 @@ def test_an_axis_of_a_raster_and_steps(folder):
     assert run("compensate", "model.json", "steps.csv", *TOP, "-o", "s.csv", cwd=folder)[0] == 0
     # A scan is replaced by another one.
     assert run("scan", *steps, "--cycles", 2, "-o", "raster.csv", cwd=folder)[0] == 0
-
-
-def test_the_table_of_rows_is_that_of_the_scan(folder):
-    result("compensate", "model.json", "scan.csv", *TOP, "--table", "t.csv", "-o", "o.csv", cwd=folder)
-    actuator = Actuator.load(folder / "model.json")
-    start = PossibleStart.named(actuator, "top")
-    table = wave_table(actuator, Triangle(2e-6, 12e-6, frequency=10).path(), start=start)
-    np.testing.assert_allclose(rows(folder / "t.csv")[2], table.cycle.voltage, rtol=4 * WRITTEN)
 
 
 def test_what_is_not_settled_ends_with_status_1(folder):

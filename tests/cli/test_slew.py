@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 import plain_records
 import pytest
-from command_line import refused, result, run
+from command_line import result, run
 from virtual_loops import record_loops
 
-from dehyst.model import Identification, Stage, with_identification
-from dehyst.model.promise import Validity
+from dehyst.model import Stage, with_identification
 from dehyst.records import read_table, write_columns, write_record
 
 SPEED = 50.0
@@ -30,15 +29,6 @@ def folder(tmp_path_factory):
     write_columns(target / "slow_axes.csv", {"time_s": time, "x_um": wanted, "y_um": wanted})
     assert run("scan", *SCAN, "-o", "scan.csv", cwd=target)[0] == 0
     return target
-
-
-@pytest.mark.parametrize("limits", [[0, 1000], [210, 215]])
-def test_no_voltage_of_a_model_with_limits_that_no_record_has_shown_is_sent(folder, limits):
-    tested = Validity(1e-8, 1e-7, 0.0, 1.2e-5, limits=(0.0, 200.0), speeds=(1.0, SPEED))
-    model = replace(PLAIN, identification=Identification(validity=tested)).as_dict()
-    (folder / "edited.json").write_text(json.dumps(model | {"limits_V": limits}))
-    refused("compensate", "edited.json", "slow.csv", "-o", "edited.csv", cwd=folder)
-    assert not (folder / "edited.csv").exists()
 
 
 @pytest.mark.parametrize("model", ["model", "stage"])
