@@ -35,6 +35,9 @@ MOVING = {
     },
 }
 PLANTS |= {name: replace(PLANT, **parts) for name, parts in MOVING.items()}
+# Of the same shape, with other weights.
+OTHERS = {name: wide.plant(wide.STRUCTURES[name], seed=4).actuator for name in STRUCTURES}
+OTHERS |= {name: replace(plain_records.plant(10, seed=5), **parts) for name, parts in MOVING.items()}
 
 
 def wanted(seed, size=300):
@@ -154,25 +157,11 @@ def test_a_snapshot_of_another_loop_is_refused():
     assert renamed.snapshot() == kept
 
 
-def stiffer(actuator, factor=1.1):
-    """The same with other weights: stiffnesses of elements, spring, creep and smooth elements."""
-    slip, spring, creep, smooth = actuator.slip, actuator.spring, actuator.displacement_creep, actuator.smooth
-    more = {} if creep is None else {"displacement_creep": replace(creep, gains=creep.gains / factor)}
-    if smooth is not None:
-        more["smooth"] = replace(smooth, stiffness=smooth.stiffness * factor)
-    return replace(
-        actuator,
-        slip=replace(slip, stiffness=slip.stiffness * factor),
-        spring=replace(spring, voltage=spring.voltage * (2 - factor)),
-        **more,
-    )
-
-
 @pytest.mark.parametrize("name", sorted(PLANTS))
 def test_another_model_of_the_same_shape_goes_on_from_a_snapshot(name):
     """The voltage changes no faster than the slew rate."""
     actuator, path = PLANTS[name], wanted(11)
-    other = stiffer(actuator)
+    other = OTHERS[name]
     make = lambda model: Compensator(  # noqa: E731
         model, (20, 140), 5e3, period=PERIOD, state=started(actuator, 1), preview=True, units="um"
     )

@@ -1,10 +1,9 @@
 """What is said of an identification: reasons for care beside the verdict, and only what the record can show."""
 
-import itertools
-
 import numpy as np
 import plain_records
 import pytest
+from scipy.signal import cont2discrete, lfilter
 
 from dehyst import Actuator, Record, identify
 from dehyst.identification import Readiness, RecordErrors
@@ -16,22 +15,15 @@ STROKE, STEP, LAG = 1e-5, 0.01, 0.08
 
 def records():
     """A plain actuator seen by a sensor of first order, and as it moves."""
-    rng = np.random.default_rng(3)
-    turns = np.concatenate([[0, 80, 0, 80, 0], rng.uniform(0, 80, 14), [0]])
-    t = np.linspace(0, np.pi, 100, endpoint=False)
-    v = np.concatenate([a + (b - a) * 0.5 * (1 - np.cos(t)) for a, b in itertools.pairwise(turns)])
+    turns = np.random.default_rng(3).uniform(0, 1, 14)
+    v = 80 / plain_records.STROKE * plain_records.path([0, 1, 0, 1, 0, *turns, 0])
     ends = np.array([-0.2 * STROKE, 1.5 * STROKE])
     slip = MaxwellSlip(STROKE / 2 * np.array([0.05, 0.2, 0.5, 0.9]), np.array([2e6, 1e6, 8e5, 4e5]))
     y = Actuator(slip, Spring(ends, 7e6 * ends)).simulate(v).displacement
-    seen, state, keep = np.empty(y.size), y[0], np.exp(-STEP / LAG)
-    for k in range(y.size):
-        before = y[max(k - 1, 0)]
-        # Exact for a displacement that is linear between samples.
-        slope = (y[k] - before) / STEP
-        state = y[k] - LAG * slope + (state - before + LAG * slope) * keep
-        seen[k] = state
-    time = np.arange(y.size) * STEP
-    return Record(time, v, seen + 1e-9 * rng.normal(size=y.size)), y
+    # Exact for a displacement that is linear between samples.
+    num, den, _ = cont2discrete(([1], [LAG, 1]), STEP, "foh")
+    seen = y[0] + lfilter(num.ravel(), den, y - y[0])
+    return Record(np.arange(y.size) * STEP, v, seen + 1e-9 * np.random.default_rng(4).normal(size=y.size)), y
 
 
 def test_the_displacement_before_the_sensor_is_found():
