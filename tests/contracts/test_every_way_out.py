@@ -24,7 +24,7 @@ def test_random_lives_never_jump(seed):
 @pytest.mark.parametrize("call", ways_out.SHARES)
 def test_each_way_alone_never_jumps(call):
     counts = Counter()
-    for case in range(6 if call in ("table", "stage_home", "file") else 20):
+    for case in range(6 if call in ("table", "stage_home") else 20):
         life = ways_out.Life(np.random.default_rng([11, case]), lambda word: counts.update([word]))
         getattr(life, call)()
         life.end()

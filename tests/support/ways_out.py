@@ -6,15 +6,11 @@ refused moves nothing, run is step by step, and the state is where a simulation 
 
 import contextlib
 import copy
-import io
-import json
 import pickle
 import struct
-import tempfile
 import warnings
 import zlib
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 import pandas
@@ -22,10 +18,9 @@ import strategies
 from fake_rig import FakeRig
 
 from dehyst import Actuator, Bank, Compensator, DehystError
-from dehyst.cli import main
 from dehyst.control import PossibleStart, plan_path, wave_table
 from dehyst.control.following import follow
-from dehyst.model import DisplacementCreep, Dynamics, SmoothSlip, Stage, needs_time, turned, with_identification
+from dehyst.model import DisplacementCreep, Dynamics, SmoothSlip, Stage, needs_time, turned
 from dehyst.waveforms import Excitation
 from dehyst.waveforms.scans import scan_of
 
@@ -51,8 +46,7 @@ SHARES = {
     "stage": 10,
     "stage_home": 3,
     "bank": 20,
-    "rig": 6,
-    "file": 1,
+    "rig": 7,
 }
 
 
@@ -150,11 +144,11 @@ class Life:
     def held(self, state):
         return min(max(self.actuator.voltage(state), self.low), self.high)
 
-    def hold_against(self, call, voltage, present, intervals, slew=None, rounding=2e-12, slack=1e-9):
+    def hold_against(self, call, voltage, present, intervals, slew=None, slack=1e-9):
         """Hold voltages (n,) [V] that leave, with the seconds (n,) before each, against limits and slew rate."""
         voltage, slew = np.atleast_1d(np.asarray(voltage, dtype=float)), self.slew if slew is None else slew
         self.note("voltages")
-        tolerance = rounding * (self.high - self.low)
+        tolerance = 2e-12 * (self.high - self.low)
         if not np.all((voltage >= self.low - tolerance) & (voltage <= self.high + tolerance)):
             self.findings.append(f"{self.kind}: {call}: {voltage.min()!r} to {voltage.max()!r} V outside the limits")
         change = np.abs(np.diff(voltage, prepend=present))
@@ -388,47 +382,6 @@ class Life:
         own, (self.low, self.high) = (self.low, self.high), limits
         self.hold_against("rig", sent[1:], sent[0], intervals, slack=1e-5)
         self.low, self.high = own
-
-    def file(self):
-        """What `dehyst compensate` writes."""
-        known = with_identification(self.actuator, slew_rate=self.slew)
-        if self.kind in ("creep", "all"):
-            return
-        with tempfile.TemporaryDirectory() as folder:
-            model, path, out = (Path(folder) / name for name in ("model.json", "path.csv", "out.csv"))
-            known.save(model)
-            table = np.column_stack([self.period * np.arange(50), 1e6 * self.path(50)])
-            np.savetxt(path, table, delimiter=",", header="time_s,displacement_um", comments="")
-            start = str(self.rng.choice(["top", "bottom", "unknown"]))
-            words = [
-                "compensate",
-                model,
-                path,
-                "-o",
-                out,
-                "--slew-rate",
-                self.slew or "none",
-                "--json",
-                *([] if start == "unknown" else ["--start", start]),
-            ]
-            told = io.StringIO()
-            with contextlib.redirect_stdout(told), contextlib.redirect_stderr(io.StringIO()):
-                try:
-                    main.main([*map(str, words)], prog_name="dehyst")
-                except SystemExit as done:
-                    if done.code == 2:
-                        self.note("files refused")
-                        return
-            result, columns = json.loads(told.getvalue()), np.genfromtxt(out, delimiter=",", names=True, comments="#")
-            time, voltage = columns["time_s"], columns["voltage_V"]
-            if result["slew_V_per_s"] != self.slew:
-                self.findings.append("file: the bound is not that which was given")
-            present = float(voltage[0])
-            if start != "unknown":
-                present = self.held(PossibleStart.named(known, start).state)
-            self.hold_against(
-                f"file from {start}", voltage, present, np.diff(time, prepend=time[0] - self.period), rounding=1e-8
-            )
 
 
 def play(seed, case, note):
