@@ -35,7 +35,7 @@ MOVING = {
     },
 }
 PLANTS |= {name: replace(PLANT, **parts) for name, parts in MOVING.items()}
-# Of the same shape, with other weights.
+# Other weights in the same shape.
 OTHERS = {name: wide.plant(wide.STRUCTURES[name], seed=4).actuator for name in STRUCTURES}
 OTHERS |= {name: replace(plain_records.plant(10, seed=5), **parts) for name, parts in MOVING.items()}
 
