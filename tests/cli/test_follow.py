@@ -115,6 +115,16 @@ def test_a_promise_is_compared_apart_from_the_noise_of_the_sensor(folder):
         assert found["noise_m"] == pytest.approx(noise, rel=0.2)
 
 
+def test_a_path_that_is_missed_is_refused_before_anything_moves(folder):
+    moved = 7 - 12 * np.cos(2 * np.pi * np.arange(200) / 200)
+    write_columns(folder / "wide.csv", {"time_s": 0.005 * np.arange(200), "displacement_um": moved})
+    words = (*WORDS[:-1], "wide.csv", "-o", "wide")
+    status, _, err = run_command(*words, keep=True, cwd=folder)
+    assert status == 2 and "CLAMPED" in err and "nothing was moved" in err
+    assert not (folder / "wide" / "record.csv").exists()
+    assert run(*words, cwd=folder)[0] == 1 and (folder / "wide" / "record.csv").exists()
+
+
 def test_a_repeated_path_has_a_way_back_and_an_error_each_time(folder):
     write_columns(folder / "ramp.csv", {"time_s": 0.005 * np.arange(200), "displacement_um": 3 + 0.04 * np.arange(200)})
     words = ("follow", "rig.py:make", "--model", "model.json", "--path", "ramp.csv", "--repeat", "3", "--json")

@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 import places
 import pytest
-from click.shell_completion import BashComplete
 from command_line import commands, result, run
 from virtual_loops import record_loops
 
@@ -125,21 +124,12 @@ def test_help_loads_no_numpy():
         (["identfy", "loops.csv"], "identify"),
         (["simulation"], "simulate"),
         (["identify", "--outptu", "3", "loops.csv"], "--output"),
-        (["identify", "--reports", "r.html", "loops.csv"], "--report"),
     ],
 )
 def test_a_slip_of_the_pen_gets_a_suggestion(arguments, suggestion):
     status, out, err = run(*arguments)
     assert (status, out) == (2, "")
     assert re.search(rf"[Dd]id you mean.*'{suggestion}'", err)
-
-
-def test_completion_offers_commands_and_options():
-    complete = BashComplete(main, {}, "dehyst", "_DEHYST_COMPLETE")
-    assert {item.value for item in complete.get_completions([], "i")} == {"identify", "insight"}
-    assert "--structure" in {item.value for item in complete.get_completions(["identify"], "--st")}
-    assert "staircase" in {item.value for item in complete.get_completions(["excite"], "st")}
-    assert {item.type for item in complete.get_completions(["identify"], "lo")} == {"file"}
 
 
 def test_the_documented_completion_script_is_printed():

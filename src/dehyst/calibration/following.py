@@ -44,10 +44,11 @@ class FollowedPath:
     """A path `wanted` (n, axes) [m] at a `rate` [Hz] on a `rig` by a `model`, within `bounds` of each axis.
 
     Its first `size` samples are compared; the rest is a way back. `temperature` [degC] of the path, (n,) or a number.
-    `listener` receives the progress, `say` lines on what is promised and on each repetition. `follow` sets: `tracked`,
-    the measured path of each repetition, and `best`, the best that was learnt, else the last; `promises` of each axis,
-    None without one; `noise` [m] of each sensor; `clamped`, the number of samples clamped or slewed; `learnt`, the
-    voltages (n, axes) [V] of the best cycle, None without one; `believed`, whether the sensor is; `remarks`, sentences.
+    `listener` receives the progress, `say` a line on each repetition; `judge` may refuse the plan before anything
+    moves. `follow` sets: `tracked`, the measured path of each repetition, and `best`, the best that was learnt, else
+    the last; `promises` of each axis, None without one; `noise` [m] of each sensor; `clamped`, the number of samples
+    clamped or slewed; `learnt`, the voltages (n, axes) [V] of the best cycle, None without one; `believed`, whether the
+    sensor is; `remarks`, sentences.
     """
 
     rig: AbstractRig
@@ -59,6 +60,7 @@ class FollowedPath:
     temperature: Any = None
     listener: ProgressListener = field(default_factory=ProgressListener)
     say: Callable[[str], object] = lambda _: None
+    judge: Callable[[PathPlan], object] = lambda _: None
 
     def __post_init__(self) -> None:
         self._several = isinstance(self.model, Stage)
@@ -97,9 +99,7 @@ class FollowedPath:
         wanted = np.tile(self.wanted, (repeat, 1))
         plan = self._plan(wanted, present)
         self.promises = list(plan.promise) if self._several else [plan.promise]
-        for axis, promise in zip(self._axes or ("",), self.promises, strict=True):
-            for line in () if promise is None else promise.lines:
-                self.say(f"{axis}: {line}" if axis else line)
+        self.judge(plan)
         about = {"rig": self.rig.identity, "excitation": "path"}
         with ExitStack() as stack:
             player = stack.enter_context(Player(self.rig, path, about, self.listener, states_wanted=True))

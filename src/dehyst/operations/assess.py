@@ -16,7 +16,7 @@ from dehyst.control import plan_path
 from dehyst.operations.axes import AxesModel, OfAxes, of_one_axis, slew_option
 from dehyst.operations.command import CONTINUED, INPUT, REPORT, Values, argument, command, number, option, output, pair
 from dehyst.operations.files import AS_FOUND, COLUMNS, RECORD, Columns, columns_in
-from dehyst.operations.paths import reach_remarks, read_path
+from dehyst.operations.paths import read_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import percent, read_table
 from dehyst.report import write_insight
@@ -64,8 +64,6 @@ def insight(
         if trajectory is not None:
             of_path = replace(of_path, voltage=None, hold=None, join=None)
             path, warmth, clock = read_path(known, trajectory, of_path, zero, remark=run.note)
-            for remark in reach_remarks(known.actuators[0], path[:, 0], limits, zero, warmth):
-                run.note(remark)
             when = {"time": clock.get("time_s"), "temperature": warmth}
             (plan,) = known.planned(plan_path, path, [limits], known.slews(slew_rate)[0], **when)
         assessed = insight_one(known.actuators[0], training, plan=plan, **asked)

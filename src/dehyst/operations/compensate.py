@@ -17,12 +17,12 @@ from dehyst._text import counted, escape
 from dehyst._types import Array
 from dehyst._views.lines import length, span_of
 from dehyst.control import PathPlan, WaveTable, plan_path, wave_table
-from dehyst.model import USELESS, Actuator, voltages_of
+from dehyst.model import Actuator, voltages_of
 from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel, Limits, OfAxes, axes_option, limits_option, of_one_axis, slew_option
 from dehyst.operations.command import OUTPUT, PAGE, Values, argument, beside, command, number, option, output
 from dehyst.operations.files import COLUMNS, GAIN, Columns, write_table
-from dehyst.operations.paths import ZERO, even_rate, reach_remarks, read_path, reason_of
+from dehyst.operations.paths import ZERO, even_rate, fault_of, reach_remarks, read_path, reason_of
 from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import START
 from dehyst.waveforms import ScanPath
@@ -145,7 +145,7 @@ def _answer(
         f"{counted(made['samples'], 'sample')}, {', '.join(words)}: {made['output']}",
         *added,
     ]
-    good = all(map(_is_good, plans))
+    good = not any(map(fault_of, plans))
     if found is not None:
         lines.append(
             f"the steady table after {counted(found.cycles, 'cycle')} of start-up, to {length(found.error)}; "
@@ -190,15 +190,9 @@ def _period_of(path: Path, wanted: Array, clock: Mapping[str, Array], warmth: Ar
     return ScanPath(wanted[:-1], spline(at[:-1], 1), spline(at[:-1], 2), rate)
 
 
-def _is_good(plan: PathPlan) -> bool:
-    """Return whether a path is followed, with a promise of at most 5 % of the stroke or, without one, a known start."""
-    promise = plan.promise
-    small = plan.certified if promise is None else promise.largest <= 0.01 * USELESS * promise.stroke
-    return not plan.failure and small
-
-
 def _numbers(actuator: Actuator, plan: PathPlan, limits: Limits, slew: float | None) -> dict[str, Any]:
-    """Return the plan of an axis as JSON values."""
+    """Return the plan of an axis as JSON values; the duration of a homing is without the way."""
+    homing, time = plan.homing, plan.time
     return {
         "clamped": int(plan.clamped[plan.first :].sum()),
         "missed_um": float(plan.missed) * 1e6,
@@ -206,7 +200,11 @@ def _numbers(actuator: Actuator, plan: PathPlan, limits: Limits, slew: float | N
         "highest_V": float(plan.voltage.max()),
         "limits_V": list(limits or voltages_of(actuator)),
         "slew_V_per_s": slew,
-        **starts.path_start_fields(plan),
+        "start": starts.start_fields(plan),
+        "homing_samples": plan.first if homing else 0,
+        "homing_s": 0.0 if homing is None else None if time is None else homing.played.duration,
+        "certified": plan.certified if homing else None,
+        "seconds": None if time is None else float(np.ptp(time)),
         "promise": plan.promise and plan.promise.as_dict(),
         "state": plan.state.as_dict(),
     }

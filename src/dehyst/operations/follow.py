@@ -12,17 +12,16 @@ import numpy as np
 from dehyst._errors import ModelError, RecordError, RigError
 from dehyst._io import made_folder, write_atomically
 from dehyst._text import escape
-from dehyst._types import Array
 from dehyst._views.lines import percent
 from dehyst.calibration.following import FollowedPath
-from dehyst.control import VoltageLimits
+from dehyst.control import PathPlan, VoltageLimits
 from dehyst.instruments import HIGHEST_RATE, AbstractRig, open_rig, played_rate
 from dehyst.model import stroke_of, voltages_of
 from dehyst.operations.axes import AxesModel, Limits, OfAxes, limits_option, slew_option
 from dehyst.operations.bench import Steps
 from dehyst.operations.command import FOLDER, INPUT, argument, command, flag, option, output
 from dehyst.operations.files import COLUMNS, Columns, write_table
-from dehyst.operations.paths import ZERO, bounds_remarks, closed_path, even_rate, reach_remarks, read_path
+from dehyst.operations.paths import ZERO, bounds_remarks, closed_path, even_rate, fault_of, read_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import largest, rms
 from dehyst.report.html import document, words
@@ -51,8 +50,10 @@ def follow(
 ) -> Result:
     """Follow a path on RIG after a homing, measure the error, and compare it with the promise.
 
-    RIG: as of dehyst calibrate. The voltage ends at the safe one; Ctrl-C brings it there too. The status is 1 if a
-    voltage of the path was clamped, the error exceeds the promise, or the sensor is not believed.
+    RIG: as of dehyst calibrate. The voltage ends at the safe one; Ctrl-C brings it there too. A path that the voltages
+    miss, or without --learn and --feedback a promise over 5 % of the stroke, is refused before anything moves, unless
+    --force is given. The status is 1 if a voltage of the path was clamped, the error exceeds the promise, or the sensor
+    is not believed.
     """
     if learn and feedback:
         raise ModelError(argument="learn, feedback", got="both", need="one of them")
@@ -66,12 +67,23 @@ def follow(
     if feedback and rate > HIGHEST_RATE * (1 + _RATES):
         hint = "give a slower path, or --learn"
         raise RecordError(argument="path", got=f"{rate:.6g} Hz", need="200 Hz at most with feedback", hint=hint)
+
+    def judge(plan: PathPlan) -> None:
+        parts = plan.each or (plan,)
+        for line in known.prefixed(part.promise.lines if part.promise else () for part in parts):
+            run.say(line)
+        faults = [part.failure if learn or feedback else fault_of(part) for part in parts]
+        words = "; ".join(known.prefixed([fault] if fault else [] for fault in faults))
+        if words and not run.force:
+            hint = "nothing was moved; dehyst compensate says what fits; --force follows this path"
+            raise ModelError(words.removesuffix("."), argument="path", hint=hint)
+
     allowed, (slews, _) = limits.of(known.axes), known.slews(slew_rate)
     asked: tuple[Any, Any] = allowed, slews
     axes = None if known.stage is None else known.axes
     bound, steepest = asked if axes else (asked[0][0], asked[1][0])
     with open_rig(rig, axes, limits=bound, slew_rate=steepest) as instrument:
-        wanted, bounds = _placed(run, known, instrument, wanted, allowed, slews, zero, warmth)
+        bounds = _bounds(run, known, instrument, allowed, slews)
         played = min(rate, HIGHEST_RATE) if feedback else played_rate(instrument, rate)
         if abs(played / rate - 1) > _RATES:
             seconds = (len(wanted) - 1) / np.array([rate, played])
@@ -87,7 +99,7 @@ def follow(
             record.unlink(missing_ok=True)
         with Steps(run) as watcher:
             part = known.stage or known.actuators[0]
-            followed = FollowedPath(instrument, part, bounds, played, wanted, size, warmth, watcher, run.say)
+            followed = FollowedPath(instrument, part, bounds, played, wanted, size, warmth, watcher, run.say, judge)
             lessons = repeat or _MOST if learn else 0
             followed.follow(record, repeat=1 if learn else repeat or 1, lessons=lessons, feedback=feedback)
     for remark in followed.remarks:
@@ -95,33 +107,22 @@ def follow(
     return _result(known, followed, record, output)
 
 
-def _placed(
-    run: Run,
-    known: AxesModel,
-    rig: AbstractRig,
-    wanted: Array,
-    allowed: Sequence[Limits],
-    slews: Sequence[float | None],
-    zero: float | None,
-    warmth: Array | None,
-) -> tuple[Array, list[VoltageLimits]]:
-    """Return the path (n, axes) [m] from the sensor's zero, and the limits of each axis; note what is narrower."""
+def _bounds(
+    run: Run, known: AxesModel, rig: AbstractRig, allowed: Sequence[Limits], slews: Sequence[float | None]
+) -> list[VoltageLimits]:
+    """Return the limits of each axis; note what is narrower than given."""
     if len(rig.axes) != len(known.axes):
         names = ", ".join(rig.axes)
         raise RigError(f"{rig.name}: has the axes {names}, the model {', '.join(known.axes)}; give its model")
     bounds, remarks = [], []
-    for part, actuator, target, limit, slew in zip(
-        rig.rigs, known.actuators, known.targets(wanted).T, allowed, slews, strict=True
-    ):
+    for part, actuator, limit, slew in zip(rig.rigs, known.actuators, allowed, slews, strict=True):
         low, high = voltages_of(actuator)
         used = VoltageLimits(max(part.limits.low, low), min(part.limits.high, high), part.slew_rate)
         bounds.append(used)
         remarks.append(bounds_remarks(limit, slew, used, "device and model allow no more"))
-        # A path that is far outside is refused in micrometres here, in metres by the library.
-        remarks[-1] += reach_remarks(actuator, target, (used.low, used.high), zero, warmth)
     for sentence in known.prefixed(remarks):
         run.note(sentence)
-    return wanted, bounds
+    return bounds
 
 
 def _result(known: AxesModel, followed: FollowedPath, record: Path, folder: Path) -> Result:

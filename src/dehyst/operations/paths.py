@@ -13,9 +13,9 @@ from dehyst._text import counted
 from dehyst._types import Array
 from dehyst._units import FACTORS
 from dehyst._views.lines import ends
-from dehyst.control import Compensator, VoltageLimits
+from dehyst.control import Compensator, PathPlan, VoltageLimits
 from dehyst.control.limits import unit_hint
-from dehyst.model import Actuator, Promise, demand_thermal, tested_temperatures
+from dehyst.model import USELESS, Actuator, Promise, demand_thermal, tested_temperatures
 from dehyst.operations.axes import AxesModel, Limits
 from dehyst.operations.command import number
 from dehyst.operations.files import PATH, Columns, clock_of, warmth_of
@@ -55,6 +55,14 @@ def reason_of(promise: Promise | None) -> list[str]:
         return ["The model misses held-out parts of its records that far, and no excitation tests more."]
     # The error of a start and of what the voltages miss is remarked by the plan.
     return [] if cause in ("start", "missed") else known[:1]
+
+
+def fault_of(plan: PathPlan) -> str:
+    """Return why a path is not followed well: it is missed, promised no better than 5 % of the stroke, or not homed."""
+    promise = plan.promise
+    if plan.failure or promise is None:
+        return plan.failure or ("" if plan.certified else "the state before the path is not known")
+    return promise.sentence if promise.largest > 0.01 * USELESS * promise.stroke else ""
 
 
 def temperature_of(

@@ -54,7 +54,7 @@ def simulate(
         "samples": len(given),
         "outside": known.by_axis(outside.count for outside in outsides),
         "far_outside": known.by_axis(outside.far for outside in outsides),
-        **known.merged([starts.path_start_fields(path) for path in paths]),
+        "start": known.by_axis(map(starts.start_fields, paths)),
         "warnings": warnings,
         "state": known.by_axis(path.state.as_dict() for path in paths),
         "output": str(output),

@@ -137,17 +137,9 @@ def open_start(path: PathPlan) -> list[str]:
     return [f"the start leaves {largest} of the stroke open, {first} at the first sample: {remedy}"]
 
 
-def path_start_fields(path: PathPlan) -> dict[str, Any]:
-    """Return the start of a path, and the homing before it without the way, as JSON values."""
-    error, homed = path.left_open, path.homing is not None
-    timed = homed and path.time is not None
-    return {
-        "start": {"name": path.start.name, **({} if error is None else error.as_dict())},
-        "homing_samples": path.first if homed else 0,
-        "homing_s": path.homing.played.duration if timed else None if homed else 0.0,
-        "certified": path.certified if homed else None,
-        "seconds": None if path.time is None else float(np.ptp(path.time)),
-    }
+def start_fields(path: PathPlan) -> dict[str, Any]:
+    """Return the start of a path as JSON values."""
+    return {"name": path.start.name, **({} if path.left_open is None else path.left_open.as_dict())}
 
 
 def before_path(
