@@ -107,7 +107,7 @@ REFUSED = {
     "calibrate never.py:alone --dry-run --axes 1,2": ("", "has the axes 1, but 1, 2 were requested"),
     f"{FOLLOW} path.csv --learn --feedback": ("learn, feedback", "--feedback"),
     "scan steps --levels a,b --dwell 0.1 --edge 1 -o out.csv": "levels",
-    "scan spiral -o out.csv": ("", "triangle, raster, steps"),
+    "scan rastr -o out.csv": ("", "Did you mean 'raster'?"),
     "identify loops.csv --columns volt=voltage_V": ("axes", "--columns: got 'volt=voltage_V'"),
     "compensate model.json path.csv -o out.csv --limits 100 0": ("limits", "got 100 and 0,"),
     f"{TRIANGLE} -o out.csv --acceleration -3": ("acceleration", "got -3,"),

@@ -30,6 +30,8 @@ _AT_REST = 0.1
 ALIKE, _BEYOND, _DRIFTS = 1.5, 0.02, 2.0
 # Least voltage range of an excitation that tests a rate, as a part of the voltage range of the records.
 _NARROWEST = 0.1
+# Frequency [Hz] of an excitation without an option; spare of a sample rate.
+_FREQUENCY, _SPARE = 0.1, 1.1
 
 
 def branches_of(voltage: Array, span: float) -> NDArray[np.intp]:
@@ -131,8 +133,16 @@ class Untested:
         return json_values(self, "what sentence command")
 
 
-def excite_command(highest: float, lowest: float, option: str = "", kind: str = "recommended") -> str:
-    """Return the command that writes an excitation between two voltages [V], by default the one that tests any path."""
+def excite_command(
+    highest: float, lowest: float, option: str = "", kind: str = "recommended", *, step: float = 0.0, speed: float = 0.0
+) -> str:
+    """Return the command that writes an excitation between two voltages [V], by default the one that tests any path.
+
+    `step` [V]: largest one between samples, 0 for any. `speed` [V/s]: the largest; default: that without options.
+    """
+    if step:
+        speed = speed or 2 * STEEPEST * _FREQUENCY * (highest - lowest) * (FASTER if kind == "recommended" else 1.0)
+        option += f"--sample-rate {digits(_SPARE * speed / step)} "
     # The voltages are rounded inwards, as the stage may not allow more.
     step = 10.0 ** (np.floor(np.log10(highest - lowest)) - 3)
     top, base = step * np.floor(highest / step + 1e-6), step * np.ceil(lowest / step - 1e-6)
@@ -146,18 +156,18 @@ def untested_by(
     validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp], waits: float
 ) -> Iterator[Untested]:
     """Yield the properties of a path that the records do not test."""
-    low, high = validity.limits
+    (low, high), step = validity.limits, validity.step
     over = max(low - float(voltage.min()), float(voltage.max()) - high)
     if over > _BEYOND * validity.span:
         words = f"The path goes {over:.3g} V beyond the voltages of the records."
         ends = max(high, float(voltage.max())), min(low, float(voltage.min()))
-        yield Untested("voltages", words, excite_command(*ends))
+        yield Untested("voltages", words, excite_command(*ends, step=step))
     path, edges = voltage[at], np.linspace(low, high, CELLS + 1)
     outside = int(np.count_nonzero(~are_tested(path, *tested_loops(validity.branches, edges), edges)))
     # Records with random turning points also test the turning points between these.
     if outside and not validity.turns_anywhere:
         words = f"{outside} of {len(path)} branches begin where no record turned."
-        yield Untested("turns", words, excite_command(high, low))
+        yield Untested("turns", words, excite_command(high, low, step=step))
     if time is None or time.size < 2:
         return
     speed, rate = paces_of(time, voltage, at).T
@@ -167,7 +177,7 @@ def untested_by(
         if fastest and (found > ALIKE * known if which == "fastest" else found * ALIKE < known):
             ratio = f"{digits(found / known)} times the {which} of the records"
             words = f"Its {which} branch takes {found:.3g} V/s on average, {ratio}."
-            yield Untested("speed", words, _paced(high, low, found, FASTER if which == "fastest" else 1.0))
+            yield Untested("speed", words, _paced(high, low, found, FASTER if which == "fastest" else 1.0, step))
     # The excitation for a higher speed also tests the rate of branches over the whole range at this speed.
     often = ALIKE * max(validity.rates[1], speed.max(initial=0.0) / validity.span)
     if fastest and rate.max(initial=0.0) > often:
@@ -176,7 +186,7 @@ def untested_by(
         own = path[rate > often]
         half = 0.5 * max(float(np.ptp(own)), _NARROWEST * validity.span)
         middle = float(np.clip(0.5 * (own.max() + own.min()), low + half, max(high - half, low + half)))
-        yield Untested("rate", words, _paced(middle + half, middle - half, 2 * half * float(rate.max()), FASTER))
+        yield Untested("rate", words, _paced(middle + half, middle - half, 2 * half * float(rate.max()), FASTER, step))
     moved = validity.drift * min(float(np.ptp(time)) / validity.lasts, 1.0) if validity.lasts else 0.0
     if moved > _DRIFTS * validity.shown:
         drifted = f"{percent(validity.drift, validity.stroke)} of the stroke in {validity.lasts:.3g} s"
@@ -185,23 +195,24 @@ def untested_by(
     hold = max(waits, hold_of(time, voltage, validity.span))
     if hold > ALIKE * validity.hold:
         words = f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."
-        yield Untested("hold", words, excite_command(high, low, f"--hold {digits(hold)} ", "staircase"))
+        yield Untested("hold", words, excite_command(high, low, f"--hold {digits(hold)} ", "staircase", step=step))
 
 
 def not_recorded(validity: Validity) -> Iterator[Untested]:
     """Yield properties that paths often have and the records do not test."""
-    low, high = validity.limits
+    (low, high), step = validity.limits, validity.step
     if not validity.turns_anywhere:
         words = "The records do not turn at random: branches that begin elsewhere are tested little."
-        yield Untested("turns", words, excite_command(high, low))
+        yield Untested("turns", words, excite_command(high, low, step=step))
     branch = validity.span / validity.speeds[1] if validity.speeds[1] else 0.0
     if branch and validity.hold < branch:
         words = f"The records hold for {validity.hold:.3g} s at most: creep at rest is tested little."
-        yield Untested("hold", words, excite_command(high, low, f"--hold {max(10.0, 2 * branch):.0f} ", "staircase"))
+        hold = f"--hold {max(10.0, 2 * branch):.0f} "
+        yield Untested("hold", words, excite_command(high, low, hold, "staircase", step=step))
 
 
-def _paced(high: float, low: float, speed: float, faster: float) -> str:
+def _paced(high: float, low: float, speed: float, faster: float, step: float) -> str:
     """Return the command of an excitation with a `speed` [V/s], `faster` times that of its slowest branches."""
     # The fastest branches have the speed of the path and not more.
     option = f"--frequency {digits(0.5 * speed / faster / (high - low))} --slew-rate {STEEPEST * speed:.3g} "
-    return excite_command(high, low, option)
+    return excite_command(high, low, option, step=step, speed=STEEPEST * speed)

@@ -215,17 +215,8 @@ def command(
     return made
 
 
-class _Kinds(click.Group):
-    """A command of several kinds, each with options of its own."""
-
-    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
-        """Find the command of a kind; name all kinds if there is none."""
-        if args[0] not in self.commands:
-            ctx.fail(f"got {args[0]!r}, need a kind of {ctx.info_name}: {', '.join(self.commands)}")
-        return super().resolve_command(ctx, args)
-
-
-kinds = partial(_Kinds, no_args_is_help=True, subcommand_metavar="KIND ...")
+# A command of several kinds, each with options of its own.
+kinds = partial(click.Group, no_args_is_help=True, subcommand_metavar="KIND ...")
 
 
 def argument_of(error: click.UsageError) -> str:

@@ -132,9 +132,7 @@ def _result(known: AxesModel, followed: FollowedPath, record: Path, folder: Path
     parts: list[Any] = [f"<h1>A path on {escape(rig.name)}</h1>", f"<p>{words(head)}</p>"]
     shown = {"first cycle": followed.tracked[0]}
     if best is not followed.tracked[0]:
-        number = followed.tracked.index(best)
-        learnt = f"repetition {number}, the best"
-        shown[learnt if followed.learnt is not None else f"cycle {number + 1}, the last"] = best
+        shown["best repetition" if followed.learnt is not None else "last cycle"] = best
     for j, axis in enumerate(best.axes or ("",)):
         each = {name: tracked.each[j] for name, tracked in shown.items()}
         parts += [axis and f"<h2>Axis {escape(axis)}</h2>", *followed_sections(each)]

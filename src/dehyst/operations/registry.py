@@ -41,10 +41,6 @@ ENTRIES = {name: entry for entries in JOURNEY.values() for name, entry in entrie
 
 
 def find(name: str) -> click.Command:
-    """Return the command of an operation; raise OperationError if there is no such operation."""
-    if name not in ENTRIES:
-        from dehyst.operations.command import OperationError
-
-        raise OperationError(argument="operation", got=repr(name), need=f"one of {', '.join(ENTRIES)}")
+    """Return the command of an operation."""
     found: click.Command = getattr(import_module(f"dehyst.operations.{ENTRIES[name][0]}"), name)
     return found

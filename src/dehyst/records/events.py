@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dehyst._errors import RecordError
+from dehyst._text import digits
 from dehyst._types import Array
 from dehyst._validation import choice, number, vector
 from dehyst.records.signals import noise_span, resolution, runs, turning_points
@@ -35,8 +36,8 @@ _STEP, _STAYS, _LONGEST = 0.5, 0.6, 3.5
 _LONG, _FIRST, _SHORT = {"fringe": 2.2, "grating": 1.8}, 2.2, 0.35
 # By how many usual ways the way back from a turn may be shorter than the way there, and longer than three of it.
 _NEARER, _FARTHER = 0.75, 1.0
-# Amplitudes that no sample exceeds.
-_BEYOND = 1.5
+# Factor of the sample rate that is advised; amplitudes that no sample exceeds.
+_SPARE, _BEYOND = 1.1, 1.5
 # Share of the voltage's range within which two cycles are alike, and half periods by which they may differ.
 _ALIKE, _JUMP = 0.01, 1.6
 
@@ -93,7 +94,10 @@ def record_of_periodic(
     whole = Record(time, voltage, np.zeros(len(time)), name, others=others)
     (channel,) = whole.others
     when, where = counted_events(whole.time, whole.voltage, channel.values, period, kind)
-    return replace(Record.from_events(time, voltage, when, where, name=name, units="m"), others=whole.others)
+    record = Record.from_events(time, voltage, when, where, name=name, units="m")
+    with np.errstate(all="ignore"):
+        way = np.nanmedian(np.abs(np.diff(np.interp(when, whole.time, whole.voltage)) / np.diff(where)))
+    return replace(record, others=whole.others, meta={"step_V": 0.5 * _STEP * period * float(way)})
 
 
 def counted_events(
@@ -253,9 +257,11 @@ def _refuse_lost_counts(
     if longest < _FEWEST:
         raise _refusal(f"{longest} crossings in the longest branch", f"drive over more periods, {_FEWEST} crossings")
     half = usual if kind == "fringe" else 0.5 * usual
-    fast = np.flatnonzero(np.abs(np.diff(voltage)) > _STEP * half)
-    if fast.size:
-        raise _refusal(f"too few samples a period at {time[fast[0]]:.6g} s", "sample faster, or drive more slowly")
+    steps, speed = np.abs(np.diff(voltage)), float(np.max(np.abs(np.diff(voltage)) / np.diff(time)))
+    if (fast := np.flatnonzero(steps > _STEP * half)).size:
+        rate, slow = _SPARE * speed / (_STEP * half), _STEP * half / float(np.median(np.diff(time))) / _SPARE
+        hint = f"sample at {digits(rate)} Hz, or drive at {digits(slow)} V/s at most"
+        raise _refusal(f"too few samples a period at {time[fast[0]]:.6g} s", hint)
     beyond = time[np.abs(z) > _BEYOND]
     if beyond.size:
         demand(False, float(beyond[0]), float(beyond[-1]))

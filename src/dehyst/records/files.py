@@ -100,7 +100,7 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
         record = record_of_periodic(
             time.values, drive.values, moved.values, period, kind=scale.kind, name=name, unit=unit
         )
-        return replace(record, meta=meta, others=(*channels, *record.others), hold=hold)
+        return replace(record, meta={**meta, **record.meta}, others=(*channels, *record.others), hold=hold)
     measured = ~np.isnan(moved.values) if moved.column.timing == "events" else None
     return Record(time.values, drive.values, moved.values, name, meta, others=channels, hold=hold, measured=measured)
 
