@@ -18,19 +18,6 @@ import dehyst.operations
 posix = pytest.mark.skipif(sys.platform == "win32", reason="devices, pipes and names of POSIX")
 
 
-@pytest.mark.nightly
-@posix
-def test_a_name_of_255_bytes_is_written_and_a_longer_one_refused(tmp_path):
-    longest = "µ" * 125 + "x.csv"
-    assert len(longest.encode()) == 255
-    command = ["excite", "raised-cosine", "10", "-o"]
-    for more in ((), ("--force",)):
-        assert run(*command, longest, *more, cwd=tmp_path)[0] == 0
-    status, out, err = run(*command, f"x{longest}", cwd=tmp_path)
-    assert (status, out) == (2, "")
-    assert "File name" in err and "shorter name" in err and err.count("\n") == 1
-
-
 FULL = Path("/dev/full")
 full = pytest.mark.skipif(not FULL.exists(), reason="there is no /dev/full")
 PRINTING = [["--help"], ["excite", "raised-cosine", "10", "-o", "v.csv", "--json"]]

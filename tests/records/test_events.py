@@ -1,5 +1,6 @@
 """Records whose displacement is known at events only, how long a sample holds, and the counting of periodic signals."""
 
+import re
 import warnings
 from dataclasses import replace
 from itertools import pairwise
@@ -196,6 +197,19 @@ def test_a_stage_is_counted_while_it_is_held_and_creeps(creep, phase):
     y = stage.play(played.voltage, time=played.time)
     signal = np.cos(2 * np.pi * (y + phase)) + 0.02 * np.random.default_rng(1).normal(size=y.size)
     assert misses("fringe", played.time, played.voltage, y, signal).max() < 0.2
+
+
+def test_a_signal_is_counted_at_the_rate_that_its_refusal_advises():
+    def recorded(rate):
+        played = recommended(100, drive=Sampling(0.1, sample_rate=rate, slew_rate=60.0))
+        y = PlayActuator(stroke=12e-6, highest=100.0, noise=0).play(played.voltage, time=played.time)
+        signal = np.cos(2 * np.pi * y / FRINGE)
+        return record_of_periodic(played.time, played.voltage, signal, FRINGE, kind="fringe", name="a")
+
+    with pytest.raises(RecordError, match="too few samples") as refused:
+        recorded(30)
+    rate = float(re.search(r"sample at ([\d.]+) Hz", str(refused.value))[1])
+    assert 53.0 / rate <= recorded(rate).meta["step_V"] < 53.0 / 30
 
 
 def clean(**how):
