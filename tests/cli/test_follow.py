@@ -11,6 +11,8 @@ from command_line import run as run_command
 from emulated_stage import COUPLING, HIGHEST, served
 
 import dehyst
+from dehyst.calibration.following import FollowedPath
+from dehyst.control import Clamps
 from dehyst.model import Stage
 from dehyst.records import read_table, write_columns
 from dehyst.virtual import PlayActuator, VirtualStage
@@ -245,6 +247,27 @@ def test_the_status_of_a_clamped_path_is_1(folder):
     status, out, _ = run(*WORDS, "--limits", "0", "90", "--json", cwd=folder)
     assert status == 1
     assert json.loads(out)["clamped"] > 0
+
+
+def test_nothing_winds_up_while_the_voltage_of_a_late_stage_is_slewed(folder):
+    (folder / "late.py").write_text(LATE)
+    steps = np.repeat([3.0, 8, 4, 9, 5, 11], 100)
+    write_columns(folder / "steps.csv", {"time_s": 0.01 * np.arange(600), "displacement_um": steps})
+    words, errors = ("late.py:make", "--model", "model.json", "--path", "steps.csv", "--slew-rate", "400"), []
+    for more in ((), ("--feedback",)):
+        assert json.loads(run("follow", *words, *more, "-o", "steps", "--json", cwd=folder)[1])["clamped"] > 50
+        record = dehyst.read(folder / "steps" / "record.csv")
+        error = record.displacement[-600:] - 1e-6 * record.others[0].values[-600:]
+        errors.append(np.std(error.reshape(6, 100)[:, 60:]))
+    assert errors[1] < 2 * errors[0]
+
+
+def test_an_error_above_the_promise_has_a_cause(folder):
+    followed = FollowedPath(None, dehyst.Actuator.load(folder / "model.json"), [], 50.0, np.zeros((2, 1)), 2)
+    causes = (3, 0, 0.1, "slew"), (0, 3, 0.1, "limits"), (0, 0, 0.1, "late"), (0, 0, 0.01, "stage")
+    for slewed, limited, late, word in causes:
+        followed.clamps, followed.late = Clamps(limited, slewed), late
+        assert word in followed.cause
 
 
 def test_a_sensor_without_a_reading_is_refused_before_anything_moves(folder):

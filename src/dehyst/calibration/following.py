@@ -13,14 +13,7 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.calibration.session import Player, ProgressListener, slower
 from dehyst.calibration.tracking import TrackedPath
-from dehyst.control import (
-    Compensator,
-    Feedback,
-    PathPlan,
-    Repetition,
-    VoltageLimits,
-    plan_path,
-)
+from dehyst.control import Clamps, Compensator, Feedback, PathPlan, Repetition, VoltageLimits, plan_path
 from dehyst.instruments import AbstractRig, StepFunction
 from dehyst.model import Actuator, Stage, stroke_of
 from dehyst.records import beyond_noise
@@ -28,6 +21,14 @@ from dehyst.waveforms import Excitation
 
 # Learning ends when none of the last repetitions lowered the RMS error by this share.
 _LAST, _LOWER = 3, 0.03
+
+
+def _clamps_of(plan: PathPlan, bounds: Sequence[VoltageLimits]) -> Clamps:
+    """Return the clamped samples of a path by kind."""
+    clamped, volts = plan.clamped[plan.first :], plan.voltage[plan.first :]
+    low, high = np.transpose([(bound.low, bound.high) for bound in bounds])
+    limited = int(np.sum(clamped & ((volts <= low) | (volts >= high))))
+    return Clamps(limited, int(clamped.sum()) - limited)
 
 
 def _apart(path: TrackedPath, most: float) -> Array:
@@ -46,9 +47,9 @@ class FollowedPath:
     Its first `size` samples are compared; the rest is a way back. `temperature` [degC] of the path, (n,) or a number.
     `listener` receives the progress, `say` a line on each repetition; `judge` may refuse the plan before anything
     moves. `follow` sets: `tracked`, the measured path of each repetition, and `best`, the best that was learnt, else
-    the last; `promises` of each axis, None without one; `noise` [m] of each sensor; `clamped`, the number of samples
-    clamped or slewed; `learnt`, the voltages (n, axes) [V] of the best cycle, None without one; `believed`, whether the
-    sensor is; `remarks`, sentences.
+    the last; `promises` of each axis, None without one; `noise` [m] of each sensor; `clamps`, the number of samples of
+    the path by kind; `late` [s], the longest delay of a sample; `learnt`, the voltages (n, axes) [V] of the best cycle,
+    None without one; `believed`, whether the sensor is; `remarks`, sentences.
     """
 
     rig: AbstractRig
@@ -71,7 +72,7 @@ class FollowedPath:
         self.tracked: list[TrackedPath] = []
         self.noise: list[float] = []
         self.remarks: list[str] = []
-        self.clamped, self.believed = 0, True
+        self.clamps, self.late, self.believed = Clamps(0, 0), 0.0, True
         self.learnt: Array | None = None
 
     @property
@@ -88,6 +89,18 @@ class FollowedPath:
             for promise, error, noise in zip(self.promises, self.promised, self.noise, strict=True)
         ]
 
+    @property
+    def cause(self) -> str:
+        """The likely cause of an error above the promise, and what to try, in words."""
+        if self.clamps.slewed:
+            return "the slew rate kept the voltage from the path: give a slower path"
+        if self.clamps.limited:
+            return "the limits kept the voltage from the path: give one within their reach"
+        if self.late > 1 / self.rate:
+            late = f"this computer was late by up to {1e3 * self.late:.3g} ms"
+            return f"{late}: give fewer samples a second, or end other programs"
+        return "the stage may have changed: dehyst check shows how"
+
     def follow(self, path: Path, *, repeat: int = 1, lessons: int = 0, feedback: bool = False) -> None:
         """Home, follow the path `repeat` times, then learn it in `lessons`; the file `path` has all samples.
 
@@ -98,6 +111,7 @@ class FollowedPath:
         present = [axis.limits.nearest(axis.read().voltage) for axis in self.rig.rigs]
         wanted = np.tile(self.wanted, (repeat, 1))
         plan = self._plan(wanted, present)
+        self.clamps = _clamps_of(plan, self.bounds)
         self.promises = list(plan.promise) if self._several else [plan.promise]
         self.judge(plan)
         about = {"rig": self.rig.identity, "excitation": "path"}
@@ -107,7 +121,6 @@ class FollowedPath:
             if feedback:
                 reached = self._feed_back(player, plan, wanted, present)
             else:
-                self.clamped = int(plan.clamped[plan.first :].sum())
                 reached = self._play(player, *self._even(plan), len(wanted))
             self.tracked = [self._tracked(cycle) for cycle in np.split(reached, repeat)]
             self.best = self.tracked[-1]
@@ -158,6 +171,8 @@ class FollowedPath:
         self.noise = [*map(min, self.noise or noise, noise)]
         self.remarks += () if self.remarks else slower(record, excitation)
         rows, reached = self.rig.rows(len(voltage)), np.empty(voltage.shape)
+        late = np.diff(record.time - rows / self.rate)[-size - 1 :] if size else np.zeros(1)
+        self.late = max(self.late, float(late.max(initial=0.0)))
         reached[rows] = record.displacement.reshape(rows.size, -1)
         return reached[len(voltage) - size :]
 
@@ -173,11 +188,16 @@ class FollowedPath:
         due = np.vstack([np.repeat(wanted[:1], ahead + 1, axis=0), wanted])
         corrected, inputs = Feedback(loop), iter([*due[ahead:, 0], *np.repeat(wanted[-1, 0], ahead)])
 
+        slewed = 0
+
         def step(measured: float | None) -> float:
-            return corrected.step(next(inputs), measured)
+            # A stage that lags is behind while the voltage is slewed, which is no error of the model: it would wind up.
+            nonlocal slewed
+            before, slewed = slewed, loop.clamps.slewed
+            return corrected.step(next(inputs), measured if slewed == before else None)
 
         reached = self._play(player, volts, due, len(wanted), step)
-        self.clamped = int(np.sum(loop.clamps))
+        self.clamps = loop.clamps
         return reached
 
     def _learn(self, player: Player, states: Any, most: int) -> None:
@@ -199,7 +219,7 @@ class FollowedPath:
             falls = len(errors) <= _LAST or min(errors[-_LAST:]) < (1 - _LOWER) * min(errors[:-_LAST])
             if not (repetition.believed and falls):
                 break
-        self.clamped += int(np.sum(loop.clamps))
+        self.clamps = Clamps(*np.sum([self.clamps, *np.reshape(loop.clamps, (-1, 2))], axis=0).tolist())
         self.believed = repetition.believed
         stray = f"the sensor read more than {1e6 * repetition.bound:.3g} um from the model"
         if not repetition.errors:

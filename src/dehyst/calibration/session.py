@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +38,7 @@ class ProgressListener:
         """Receive a `text` on the present activity of the step."""
 
 
-class Player:
+class Player(AbstractContextManager["Player"]):
     """Plays excitations on a `rig`; samples are in the file `path`, of all axes, before the `listener` has them.
 
     `about`: written above the samples, beside the names of the axes. `states_wanted`: whether the file has columns of
@@ -58,9 +59,6 @@ class Player:
         wanted = [f"wanted_{axis}_um" for axis in axes] or ["wanted_um"]
         self._wanted = wanted if states_wanted else []
         self.file = Recording(path, about={"axis": rig.axis, **about}, others=(*rig.others, *self._wanted), axes=axes)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.file.close()
@@ -86,7 +84,7 @@ class Player:
         return self._rig.play(excitation, listen, step=step)
 
 
-class Session:
+class Session(AbstractContextManager["Session"]):
     """Records from one rig in one folder: ``records/NAME.csv``, each with all axes.
 
     The records are its only state. A session in the folder of an interrupted one keeps each whole record of the same
@@ -111,9 +109,6 @@ class Session:
         except BaseException:
             self.close()
             raise
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()

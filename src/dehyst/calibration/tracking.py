@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import cycle, islice
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from dehyst._types import Array
 from dehyst.calibration.plan import Excitations
@@ -85,33 +85,25 @@ class PathPlanner:
         before the records and for the drift of the sensor.
         """
         homed, limits = self._homed(model, before), self.excitations.limits
-        wanted = homed.wanted
-        time = np.arange(len(wanted)) / self.homing.sample_rate
-        actuators = model.actuators if isinstance(model, Stage) else (model,)
-        zeros = zip(actuators, wanted.T, homed.zero.tolist(), strict=True)
-        ahead = np.column_stack([np.interp(time + axis.delay, time, column) - zero for axis, column, zero in zeros])
-        # As the path already leads, the plan has no delay.
-        still = tuple(replace(axis, delay=0.0) for axis in actuators)
-        # The path stays where it is while the temperature drifts.
-        warmth = later_temperature(model, before[-1], self.homing.duration + time)
+        time = np.arange(len(homed.wanted)) / self.homing.sample_rate
         bounds, rates = [(bound.low, bound.high) for bound in limits], [bound.slew_rate for bound in limits]
         several = isinstance(model, Stage)
         given: dict[str, Any] = {
             "limits": bounds if several else bounds[0],
             "slew_rate": rates if several else rates[0],
+            "temperature": later_temperature(model, before[-1]),
         }
-        given |= {"start": homed.states, "present": self.homing.voltage[-1], "home": False}
-        early: Any = (replace(model, actuators=still), ahead) if isinstance(model, Stage) else (still[0], ahead[:, 0])
-        plan = plan_path(*early, time=time, temperature=warmth, **given)
-        voltage = plan.voltage[plan.first :].reshape(wanted.shape)
-        return self._run("compensated", homed, voltage, plan.warnings)
+        given |= {"start": homed.states, "present": self.homing.voltage[-1], "home": False, "on_time": True}
+        path = homed.wanted - homed.zero
+        plan = plan_path(model, path if several else path[:, 0], time=time, **given)
+        return self._run("compensated", homed, plan.voltage[plan.first :].reshape(path.shape), plan.warnings)
 
     def _homed(self, model: Actuator | Stage, before: Sequence[Record]) -> _Homed:
         """Return what the records `before` show about the next homing."""
         stage = model if isinstance(model, Stage) else Stage((model,))
         time, voltage, displacement, warmth = _joined(before)
         starts = [beginning(actuator, voltage[:, j]) for j, actuator in enumerate(stage.actuators)]
-        later, branch = later_temperature(model, before[-1], self.homing.time), self.excitations.branches[0]
+        later, branch = later_temperature(model, before[-1]), self.excitations.branches[0]
         options: dict[str, Any] = {"temperature": None if later is None else warmth, "extrapolate": True}
         played = stage.simulate(voltage, time=time, states=starts, **options)
         late = (len(TURNS) - 1) * branch if len(stage.axes) == 1 else len(before[-1]) // 2
@@ -154,17 +146,10 @@ class PathPlanner:
         return PlannedRun(shown, len(home) + self.excitations.branches[0] - 1, excitation, stroke, warnings)
 
 
-def later_temperature(model: Actuator | Stage, record: Record, seconds: ArrayLike) -> Array | None:
-    """Return the temperatures [degC] to expect some `seconds` (n,) [s] after a record; None if none moves the model.
-
-    It goes on as it drifted in the record's second half, for as long as the record lasted.
-    """
-    actuators = model.actuators if isinstance(model, Stage) else (model,)
-    values, time, late = record.temperature, record.time - record.time[-1], slice(len(record) // 2, None)
-    if values is None or all(actuator.thermal is None for actuator in actuators):
-        return None
-    drift, last = np.polyfit(time[late], values[late], 1)
-    return np.asarray(last + drift * np.minimum(seconds, -time[0]))
+def later_temperature(model: Actuator | Stage, record: Record) -> float | None:
+    """Return the temperature [degC] at the end of a record; None if none moves the model."""
+    actuators, values = model.actuators if isinstance(model, Stage) else (model,), record.temperature
+    return None if values is None or not any(actuator.thermal for actuator in actuators) else float(values[-1])
 
 
 def _joined(records: Sequence[Record]) -> tuple[Array, Array, Array, Array | None]:

@@ -148,11 +148,6 @@ class Axis:
         gain, offset = self.loop.rest()[5:7].tolist() if self.running else (1.0, 0.0)
         return gain, offset
 
-    def in_model(self, displacement: Array) -> Array:
-        """Return the displacement (n,) [m] of the model that makes a `displacement` (n,) [m]."""
-        gain, offset = self.scaling()
-        return np.asarray((displacement - offset) / gain)
-
     def strays(self, displacement: Array) -> str:
         """Return why a `displacement` (n,) [m] of the model is implausible; else ""."""
         return stray_sentence(self.actuator, self.bounds, displacement)
@@ -168,7 +163,7 @@ class Axis:
 
     def run(self, wanted: Array) -> Array:
         """Return the voltages (n,) [V] of steps for displacements (n,) [m]; raise and warn as `Compensator.run`."""
-        begin, before = self.voltage, self.loop.counts()
+        begin, before, (gain, offset) = self.voltage, self.loop.counts(), self.scaling()
         voltage = self.loop.run(wanted)
         limited, slewed, refused = (int(n) for n in np.subtract(self.loop.counts(), before))
         if refused:
@@ -176,7 +171,7 @@ class Axis:
         if (limited or slewed) and self.warns:
             reason = f"{limited} at the limits {self.bounds.words}, {slewed} by the slew rate from {begin:.6g} V"
             words = f"{limited + slewed} of {wanted.size} voltages clamped: {reason}"
-            warn_of_clamps(self.actuator, self.bounds, self.name, words, self.in_model(wanted), begin)
+            warn_of_clamps(self.actuator, self.bounds, self.name, words, (wanted - offset) / gain, begin)
         return voltage
 
     def commit(self, voltage: float) -> None:

@@ -151,11 +151,11 @@ def _result(known: AxesModel, followed: FollowedPath, record: Path, folder: Path
         "noise_m": known.by_axis(followed.noise),
         **best.as_dict(),
         "repetitions": [tracked.as_dict() for tracked in followed.tracked],
-        "clamped": followed.clamped,
+        "clamped": sum(followed.clamps),
         "output": str(folder),
     }
     lines = [head, *files(Record=record, Voltages=voltages, Report=report)]
-    good = not followed.clamped and followed.believed and False not in followed.kept
+    good = not any(followed.clamps) and followed.believed and False not in followed.kept
     return Result(fields, lines, good=good)
 
 
@@ -172,8 +172,8 @@ def _head(known: AxesModel, followed: FollowedPath) -> str:
     if judged:
         head += f"; without an offset and a delay, which the promise leaves out, {', '.join(judged)}"
     head += f"; the sensor's noise is {noise} RMS"
-    if followed.clamped:
-        head += f"; {followed.clamped} samples were clamped at a limit or by the slew rate"
+    if any(followed.clamps):
+        head += f"; {followed.clamps.limited} samples were clamped at a limit, {followed.clamps.slewed} slewed"
     if False in followed.kept:
-        head += "; that is more than was promised: dehyst check shows what has changed"
+        head += f"; that is more than was promised, and {followed.cause}"
     return head

@@ -37,8 +37,6 @@ from dehyst.records import impossible
 
 # Relative difference of times, and of voltage steps, that is rounding.
 _ROUNDING = 1e-9
-# A homing is long if it takes this many times the path that follows.
-_LONG = 2.0
 
 
 def plan_path(
@@ -192,16 +190,6 @@ class Part:
         if self.way.homing is None or not self.way.voltage.size:
             return self.way.origin
         return standing(self.loop.actuator, float(self.way.voltage[0]), self.loop.limits)
-
-    def patience(self, time: Array | None, ahead: int) -> tuple[str, ...]:
-        """Return a remark on a homing that takes long for the path at `time` (n,) [s], with rows `ahead` of it."""
-        homing = self.way.homing
-        if homing is None or time is None or len(homing.turns) < 2:
-            return ()
-        if homing.played.duration <= _LONG * float(np.ptp(time)):
-            return ()
-        words = "to home within a shorter time leaves a larger error of the start"
-        return (f"the path begins after {self.way.seconds + float(time[ahead] - time[0]):.4g} s; {words}",)
 
 
 class Task:
@@ -437,7 +425,6 @@ class Task:
             # A path that lies beyond a limit as a whole is not followed, whatever the promise.
             followed = missed <= tolerated and not (clamped & loop.bounds.reached(volts)).all()
             remarks = () if way.homing is None else way.remarks
-            remarks += part.patience(self.time, after) if self.home_within is None else ()
             short = shortfall(volts, clamped, loop.bounds, missed, followed=followed)
             if wanted is None:
                 remarks += (short,) if short else ()
