@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from dehyst import Record
 from dehyst.identification import Check, Outcome, Readiness, RecordErrors, Trace, Verdict
 from dehyst.identification.checks import RemainingError
+from dehyst.identification.comparison import along_the_way
 from dehyst.identification.expectation import Expectation, HeldOutErrors, expectation, growth, new_branches, validity_of
 from dehyst.model import Promise
 
@@ -75,6 +76,12 @@ def test_a_model_that_misses_its_training_records_is_not_usable():
 def test_held_out_parts_count_where_they_are_worse():
     assert seen(ERRORS, held_out=HeldOutErrors(9e-8)).rms == pytest.approx(9e-8)
     assert seen(ERRORS, held_out=HeldOutErrors(1e-9)).rms == ERRORS.rms
+
+
+def test_fast_branches_count_as_much_as_slow_ones():
+    time, voltage = np.append(np.arange(200.0), 200 + 0.1 * np.arange(200)), np.tile(np.r_[0:100, 100:0:-1], 2)
+    error = np.where(time < 200, 0.0, 1e-8)
+    assert along_the_way(trace(Record(time, voltage, 1e-7 * voltage), error)) == pytest.approx(1e-8 / 2**0.5, rel=0.01)
 
 
 def test_structures_that_disagree_widen_a_promise_where_the_records_did_not_turn():

@@ -402,7 +402,7 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
         events = np.setdiff1d(np.flatnonzero(known), turns)
         at = np.isin(time, record.record.time[events])
         trace = Trace(record.name, role, time[at], voltage[at], measured[at], simulated[at], record.start)
-    settled, error, time = np.abs(trace.settled.residual), trace.residual, trace.time
+    settled, error, time = trace.settled, trace.residual, trace.time
     curve, slope = record.drift_curve(record.record), float(compared.frame.motion.drift[0])
     drift = np.interp(time, record.record.time, curve)
     drifting = error + slope * (drift - drift.mean())
@@ -422,9 +422,15 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
         decades=float(np.ptp(curve)),
         steady=record.steady,
         starts=starts,
-        settled_largest=float(np.quantile(settled, 1 - _OUTLIERS, method="lower")),
-        settled_rms=rms(settled),
+        settled_largest=float(np.quantile(np.abs(settled.residual), 1 - _OUTLIERS, method="lower")),
+        settled_rms=max(rms(settled.residual), along_the_way(settled)),
     ), whole
+
+
+def along_the_way(trace: Trace) -> float:
+    """Return the RMS residual [m] over the way of the voltage, on which fast branches count as much as slow ones."""
+    way = np.abs(np.diff(trace.voltage, prepend=trace.voltage[0])) + 1e-300
+    return float(np.average(trace.residual**2, weights=way) ** 0.5)
 
 
 def _runs(piece: Record, first: int, last: int) -> Iterator[tuple[int, int, bool]]:
