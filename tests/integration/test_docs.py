@@ -35,6 +35,7 @@ MY_LAB = """
 from dehyst.virtual import PlayActuator
 truth, sent = PlayActuator(), [0.0]
 def write_volts(v): sent.append(v)
+def read_volts(): return sent[-1]
 def read_micrometres(): return 1e6 * float(truth.play(sent[-1:])[0])
 def disconnect(): sent.append(None)
 """
@@ -97,9 +98,9 @@ def test_the_rehearsal_of_the_page_finds_a_planted_fault(readback, my_rig):
     folder = Path(my_rig.partition(":")[0]).parent
     test = next(block for block in blocks("how_to/instruments.md") if "class TestMyRig" in block)
     (folder / "test_my_rig.py").write_text(test)
-    code, remembered = (folder / "my_rig.py").read_text(), "        self._volts = voltage\n"
-    assert remembered in code
-    (folder / "my_rig.py").write_text(code.replace(remembered, "") if readback == "stuck" else code)
+    code, read = (folder / "my_rig.py").read_text(), "my_lab.read_volts()"
+    assert read in code
+    (folder / "my_rig.py").write_text(code.replace(read, "0.0") if readback == "stuck" else code)
     command = [sys.executable, "-m", "pytest", "-qx", "-n", "0", "-c", os.devnull, "--rootdir", ".", "test_my_rig.py"]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == (1 if readback == "stuck" else 0), done.stdout[-2000:]
