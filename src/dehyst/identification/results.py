@@ -43,8 +43,8 @@ class RecordErrors:
     steady : bool
         Whether the drift is in proportion to time; `drift` times `decades` is all of it.
     settled_largest, settled_rms : float
-        Errors after the second turning point of the voltage [m], as no state explains the first rise; the largest one
-        but for one sample in a thousand, and the RMS error over time, or over the way of the voltage if that is larger.
+        Errors after the second turning point of the voltage [m]: the largest one but for one sample in a thousand, and
+        the RMS error over time or over the way of the voltage, whichever is larger.
     starts : tuple of State
         The states on the model's axis from which the record was simulated, one for each of its pieces: at the first
         sample that was compared.
