@@ -19,7 +19,7 @@ from dehyst.calibration.experiment import _remarks
 from dehyst.calibration.following import _apart
 from dehyst.calibration.plan import Excitations, steps
 from dehyst.calibration.session import ProgressListener, Session, slower
-from dehyst.calibration.tracking import PathPlanner
+from dehyst.calibration.tracking import PathPlanner, later_temperature
 from dehyst.control import VoltageLimits
 from dehyst.instruments import DeviceError
 from dehyst.instruments.simulated import SimulatedRig
@@ -307,6 +307,18 @@ def test_the_path_of_a_calibration_is_planned_at_the_measured_temperature(model)
     assert missed[0] > 1 and missed[1] < 0.25
 
 
+def test_the_drift_of_a_temperature_goes_on_for_as_long_as_it_was_seen():
+    time, noise = 0.1 * np.arange(100), np.random.default_rng(0).normal(0, 0.05, 100)
+    warm = SimpleNamespace(thermal=0.0)
+    for drift in (0.0, 0.2):
+        degrees = 25 + drift * time + noise
+        record = dehyst.Record(time, time, time, "", others={"temperature_C": degrees})
+        expected = degrees[-5:].mean() if not drift else 25 + drift * (9.9 + np.array([0.0, 5.0, 9.9, 9.9]))
+        assert later_temperature(warm, record, [0.0, 5.0, 9.9, 500.0]) == pytest.approx(expected, abs=0.1)
+    assert later_temperature(warm, dehyst.Record(time, time, time), [0.0]) is None
+    assert later_temperature(SimpleNamespace(thermal=None), record, [0.0]) is None
+
+
 LOOK = Excitations((VoltageLimits(0, 200),), 400.0).homing()
 RECORD = "records/look.csv"
 
@@ -413,18 +425,6 @@ def test_nothing_that_was_set_aside_is_replaced(folder):
     RECORDS["empty"](folder)
     assert not go_on(folder, [aside / "look-3.csv"])
     assert (aside / "look.csv").read_text() == "first" and not (folder / "nowhere").exists()
-
-
-def test_an_undamaged_record_is_kept(folder, base):
-    assert go_on(folder)
-    assert (folder / RECORD).read_bytes() == (base / RECORD).read_bytes()
-
-
-def test_a_record_of_another_name_copied_over_is_not_taken(folder):
-    with Session(folder, SimulatedRig(PlayActuator(plays=30)), ProgressListener()) as job:
-        job.record(Excitations((VoltageLimits(0, 200),), 200.0).homing(), "homing")
-    shutil.copy(folder / "records" / "homing.csv", folder / RECORD)
-    assert not go_on(folder)
 
 
 # The folder

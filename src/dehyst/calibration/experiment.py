@@ -118,8 +118,7 @@ def calibrate(
         If the records cannot be used, the folder holds records of another instrument, another calibration writes into
         it, or it cannot be written.
     """
-    listener = watcher or ProgressListener()
-    plan = plan or Plan()
+    listener, plan = watcher or ProgressListener(), plan or Plan()
     # All that is known before is checked before anything is sent.
     steps(rig, plan)
     whole = plan.excitations(rig).recommended()

@@ -96,10 +96,8 @@ class FollowedPath:
             return "the slew rate kept the voltage from the path: give a slower path"
         if self.clamps.limited:
             return "the limits kept the voltage from the path: give one within their reach"
-        if self.late > 1 / self.rate:
-            late = f"this computer was late by up to {1e3 * self.late:.3g} ms"
-            return f"{late}: give fewer samples a second, or end other programs"
-        return "the stage may have changed: dehyst check shows how"
+        late = f"this computer was late by up to {1e3 * self.late:.3g} ms: give fewer samples a second"
+        return late if self.late > 1 / self.rate else "the stage may have changed: dehyst check shows how"
 
     def follow(self, path: Path, *, repeat: int = 1, lessons: int = 0, feedback: bool = False) -> None:
         """Home, follow the path `repeat` times, then learn it in `lessons`; the file `path` has all samples.

@@ -9,7 +9,7 @@ from itertools import cycle, islice
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dehyst._types import Array
 from dehyst.calibration.plan import Excitations
@@ -91,7 +91,8 @@ class PathPlanner:
         given: dict[str, Any] = {
             "limits": bounds if several else bounds[0],
             "slew_rate": rates if several else rates[0],
-            "temperature": later_temperature(model, before[-1]),
+            # The path stays where it is while the temperature drifts.
+            "temperature": later_temperature(model, before[-1], self.homing.duration + time),
         }
         given |= {"start": homed.states, "present": self.homing.voltage[-1], "home": False, "on_time": True}
         path = homed.wanted - homed.zero
@@ -103,7 +104,7 @@ class PathPlanner:
         stage = model if isinstance(model, Stage) else Stage((model,))
         time, voltage, displacement, warmth = _joined(before)
         starts = [beginning(actuator, voltage[:, j]) for j, actuator in enumerate(stage.actuators)]
-        later, branch = later_temperature(model, before[-1]), self.excitations.branches[0]
+        later, branch = later_temperature(model, before[-1], self.homing.time), self.excitations.branches[0]
         options: dict[str, Any] = {"temperature": None if later is None else warmth, "extrapolate": True}
         played = stage.simulate(voltage, time=time, states=starts, **options)
         late = (len(TURNS) - 1) * branch if len(stage.axes) == 1 else len(before[-1]) // 2
@@ -146,10 +147,17 @@ class PathPlanner:
         return PlannedRun(shown, len(home) + self.excitations.branches[0] - 1, excitation, stroke, warnings)
 
 
-def later_temperature(model: Actuator | Stage, record: Record) -> float | None:
-    """Return the temperature [degC] at the end of a record; None if none moves the model."""
-    actuators, values = model.actuators if isinstance(model, Stage) else (model,), record.temperature
-    return None if values is None or not any(actuator.thermal for actuator in actuators) else float(values[-1])
+def later_temperature(model: Actuator | Stage, record: Record, seconds: ArrayLike) -> Array | None:
+    """Return the temperatures [degC] to expect some `seconds` (n,) [s] after a record; None if none moves the model.
+
+    It goes on as it drifted in the record's second half, for as long as the record lasted.
+    """
+    actuators = model.actuators if isinstance(model, Stage) else (model,)
+    values, time, late = record.temperature, record.time - record.time[-1], slice(len(record) // 2, None)
+    if values is None or all(actuator.thermal is None for actuator in actuators):
+        return None
+    drift, last = np.polyfit(time[late], values[late], 1)
+    return np.asarray(last + drift * np.minimum(seconds, -time[0]))
 
 
 def _joined(records: Sequence[Record]) -> tuple[Array, Array, Array, Array | None]:

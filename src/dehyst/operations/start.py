@@ -132,7 +132,7 @@ def open_start(path: PathPlan) -> list[str]:
     error = path.left_open
     if error is None or path.homing is not None or not error.matters:
         return []
-    largest, first = (f"{digits(error.percent(length))} %" for length in (error.largest, error.first))
+    largest, first = (f"{digits(error.percent(length))} %" for length in (error.largest, float(error.difference[0])))
     remedy = "give --start" if path.start.name == "unknown" else "home the actuator first"
     return [f"the start leaves {largest} of the stroke open, {first} at the first sample: {remedy}"]
 

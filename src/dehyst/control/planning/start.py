@@ -173,11 +173,6 @@ class StartError:
         return found
 
     @property
-    def first(self) -> float:
-        """Difference at the first sample [m]."""
-        return float(self.difference[0]) if self.difference.size else 0.0
-
-    @property
     def largest(self) -> float:
         """Largest difference [m]."""
         return float(self.difference.max(initial=0.0))
@@ -194,7 +189,7 @@ class StartError:
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
         return {
-            "first_difference_percent": self.percent(self.first),
+            "first_difference_percent": self.percent(float(self.difference[0])),
             "largest_difference_percent": self.percent(self.largest),
             "model_error_percent": self.percent(self.model_error),
         }
