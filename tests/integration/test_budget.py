@@ -15,13 +15,13 @@ from dehyst.operations.registry import ENTRIES, find
 FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
-    "calibration": 1073,
+    "calibration": 1078,
     "cli": 357,
-    "control": 3513,
+    "control": 3490,
     "exports": 1265,
     "fleet": 310,
     "foundation": 1325,
-    "identification": 5805,
+    "identification": 5811,
     "instruments": 2434,
     "model": 3486,
     "operations": 2854,
@@ -36,13 +36,13 @@ ROOMS = {
     "workbench": 2187,
 }
 HOUSE = {
-    "lines of Python": 36206,
+    "lines of Python": 36194,
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2713,
-    "lines of tests": 29672,
+    "lines of tests": 29666,
     "lines of benchmarks": 4946,
-    "words of docs": 27341,
+    "words of docs": 27340,
     "public names": 110,
     "commands": 16,
     "options": 107,
