@@ -287,6 +287,8 @@ class Promise:
     @property
     def sentence(self) -> str:
         """The promise in words, errors in percent of the stroke."""
+        if self.largest > self.stroke:
+            return f"The model is not usable for {self.path}, which may be missed by more than the stroke."
         largest, rms_ = (percent(error, self.stroke, goal=USELESS) for error in (self.largest, self.rms))
         return f"Expect {self.path} to be missed by {largest} of the stroke at most and {rms_} RMS, {self.apart}."
 

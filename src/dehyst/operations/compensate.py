@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import dehyst._validation as check
-from dehyst._errors import ModelError, RecordError, of_part
+from dehyst._errors import ModelError, RecordError
 from dehyst._io import write_atomically
 from dehyst._text import counted, escape
 from dehyst._types import Array
@@ -29,6 +28,8 @@ from dehyst.waveforms import ScanPath
 
 # Part of its range by which a period may end elsewhere than it begins.
 _CLOSED = 1e-9
+# Last cycles of a table in its picture.
+_SHOWN = 3
 
 
 def _homes(given: Values) -> str:
@@ -81,23 +82,22 @@ def compensate(
     wanted, warmth, clock = read_path(known, trajectory, columns, zero, remark=remarks.append)
     asked: dict[str, Any] = {"home": home, "home_within": home_within}
     found: WaveTable | None = None
-    with _named(trajectory):
-        period = None if table is None else _period_of(trajectory, wanted[:, 0], clock, warmth)
-        targets = known.targets(wanted if period is None else period.displacement[:, None]).T
-        each = zip(known.actuators, targets, allowed, strict=True)
-        urgent = known.prefixed(reach_remarks(*axis, zero, warmth) for axis in each)
-        if period is None:
-            asked |= {"start": begins, "present": volts, "time": clock.get("time_s"), "temperature": warmth}
-            plans = known.planned(plan_path, wanted, allowed, slews, on_time=on_time, **asked)
-            rows = {**starts.clock_columns(plans[0], clock), **known.table(plans)}
-        else:
-            run.progress("homing, and the steady cycle")
-            asked |= {"limits": allowed[0], "slew_rate": slews[0], "start": begins[0], "present": volts[0]}
-            found = wave_table(known.actuators[0], period, cycles=cycles, **asked)
-            plans = [replace(found.plan, warnings=found.warnings)]
-            # The cycle follows at once, so that its first sample is not written twice.
-            rows = {"time_s": found.plan.time, "phase": found.plan.phase, **known.table(plans)}
-            rows = {name: values[:-1] for name, values in rows.items()}
+    period = None if table is None else _period_of(trajectory, wanted[:, 0], clock, warmth)
+    targets = known.targets(wanted if period is None else period.displacement[:, None]).T
+    each = zip(known.actuators, targets, allowed, strict=True)
+    urgent = known.prefixed(reach_remarks(*axis, zero, warmth) for axis in each)
+    if period is None:
+        asked |= {"start": begins, "present": volts, "time": clock.get("time_s"), "temperature": warmth}
+        plans = known.planned(plan_path, wanted, allowed, slews, on_time=on_time, **asked)
+        rows = {**starts.clock_columns(plans[0], clock), **known.table(plans)}
+    else:
+        run.progress("homing, and the steady cycle")
+        asked |= {"limits": allowed[0], "slew_rate": slews[0], "start": begins[0], "present": volts[0]}
+        found = wave_table(known.actuators[0], period, cycles=cycles, **asked)
+        plans = [replace(found.plan, warnings=found.warnings)]
+        # The cycle follows at once, so that its first sample is not written twice.
+        rows = {"time_s": found.plan.time, "phase": found.plan.phase, **known.table(plans)}
+        rows = {name: values[:-1] for name, values in rows.items()}
     size = len(next(iter(rows.values())))
     run.progress(f"writing {size} rows")
     write_table(output, rows, gain)
@@ -105,7 +105,8 @@ def compensate(
         write_table(table, {"time_s": found.cycle.time, **known.table([found.cycle])}, gain)
     if plot is not None:
         run.progress("drawing the path")
-        _draw(plot, known.axes, plans, command=run.command)
+        shown = plans if found is None else [_last(plans[0], _SHOWN * len(found.cycle))]
+        _draw(plot, known.axes, shown, command=run.command)
     axes = [*zip(known.actuators, plans, allowed, slews, volts, strict=True)]
     made: dict[str, Any] = {"samples": size, "output": str(output)}
     made |= {} if found is None else _cycle_fields(found) | {"table": str(table)}
@@ -147,24 +148,15 @@ def _answer(
     ]
     good = not any(map(fault_of, plans))
     if found is not None:
+        delay = plans[0].promise.delay if plans[0].promise else axes[0][0].delay
+        late = f", not led by the delay, {1e3 * delay:.4g} ms" if delay else ""
         lines.append(
             f"the steady table after {counted(found.cycles, 'cycle')} of start-up, to {length(found.error)}; "
-            f"{counted(len(found.cycle), 'sample')} a cycle: {made['table']}"
+            f"{counted(len(found.cycle), 'sample')} a cycle{late}: {made['table']}"
         )
         good = good and found.settled and not found.plan.clamped.any()
     more = [*lines, *others[1:]] if others[1:] else ()
     return Result(fields | made, lines, more, [*urgent, *others[:1]], good)
-
-
-@contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """Add the name of the path's file to an error of its displacements."""
-    try:
-        yield
-    except ModelError as error:
-        if error.change or error.argument not in ("", "displacement"):
-            raise
-        raise of_part(error, path.name) from error.__cause__
 
 
 def _period_of(path: Path, wanted: Array, clock: Mapping[str, Array], warmth: Array | None) -> ScanPath:
@@ -222,6 +214,13 @@ def _cycle_fields(found: WaveTable) -> dict[str, Any]:
     }
 
 
+def _last(plan: PathPlan, rows: int) -> PathPlan:
+    """Return the last rows of the path of a plan, for a picture."""
+    promise = plan.promise and replace(plan.promise, half=plan.promise.half[-rows:])
+    columns = ("time", "phase", "voltage", "displacement", "expected", "clamped")
+    return replace(plan, promise=promise, **{name: getattr(plan, name)[-rows:] for name in columns})
+
+
 def _draw(path: Path, axes: Sequence[str], plans: Sequence[PathPlan], *, command: str) -> None:
     """Write a self-contained HTML page with the plan of each axis."""
     from dehyst.report import pictures
@@ -234,7 +233,8 @@ def _draw(path: Path, axes: Sequence[str], plans: Sequence[PathPlan], *, command
             yield "" if plan.promise is None else f"<p>{words(plan.promise.sentence)}</p>"
             charts = [pictures.planned_path(plan), pictures.planned_voltage(plan)]
             charts += [] if plan.promise is None else [pictures.error_band(plan)]
-            yield Charts("", f"After {plan.seconds or 0.0:.4g} s that lead to the path.", charts, wide=True)
+            before = f"After {plan.seconds:.4g} s that lead to the path." if plan.seconds else "The last cycles."
+            yield Charts("", before, charts, wide=True)
         yield reproduction(command)
 
     write_atomically(path, document("A planned path", parts()))

@@ -111,14 +111,12 @@ def reach_remarks(
         return []
     compensator = Compensator(actuator, limits)
     lows, highs = (np.full(wanted.shape, end) for end in compensator.reach)
-    cold, degrees = wanted, ""
+    cold = wanted
     if actuator.thermal is not None and temperature is not None:
         cold = actuator.thermal.at_reference(wanted, temperature)
         lows, highs = (actuator.thermal.warmed(edge, temperature) for edge in (lows, highs))
-        words = dict.fromkeys(f"{end:.4g}" for end in (np.min(temperature), np.max(temperature)))
-        degrees = f" at {' to '.join(words)} degC"
     low, high, least, most = (1e6 * float(end) for end in (lows.max(), highs.min(), wanted.min(), wanted.max()))
-    reached = f"the model reaches {ends(low, high, 'um')}{degrees}, from the sensor's zero in its records"
+    reached = f"the model reaches {ends(low, high, 'um')}, from the sensor's zero in its records"
     fits = most - least <= high - low
     advice = "choose another --zero" if fits else "choose a smaller path"
     if fits and zero is None:

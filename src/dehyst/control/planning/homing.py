@@ -24,13 +24,13 @@ from itertools import cycle, pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._text import digits
 from dehyst._types import Array
 from dehyst._validation import Numbers, interval, number
-from dehyst._views.lines import length
+from dehyst._views.lines import percent
 from dehyst.control.axis import allowed_limits
 from dehyst.control.limits import VoltageLimits
 from dehyst.model import Actuator, State, creep_times, evaluator_of, knots_of, quasistatic, turned, voltages_of
+from dehyst.model.states import stroke_of
 from dehyst.waveforms import Branch, Excitation, Sampling
 
 # Least duration of a branch of a homing [s].
@@ -204,10 +204,10 @@ class _TimedHoming:
             remedy = "no hold suffices within these limits; wider limits may, or a larger tolerance"
             if (needed := self.needed()) is not None:
                 remedy = f"holds of {needed:.3g} s at both limits instead of {wait:.3g} s would suffice"
-            share = 100 * spread / float(np.ptp(self.actuator.spring.displacement))
+            stroke, least = stroke_of(self.actuator), self.tolerance
             yield (
-                f"not certified to {length(self.tolerance)}: the history may leave {length(spread, self.tolerance)} "
-                f"({digits(share)} % of the range){reasons and f', as this actuator {reasons}'}; {remedy}"
+                f"this homing leaves up to {percent(spread, stroke, least)} of the stroke open on any path, need "
+                f"{percent(least, stroke)}{reasons and f', as this actuator {reasons}'}; {remedy}"
             )
         if not keeps_order(self.actuator):
             yield (
