@@ -17,7 +17,7 @@ FOUNDATION = "foundation"
 ROOMS = {
     "calibration": 1078,
     "cli": 357,
-    "control": 3490,
+    "control": 3489,
     "exports": 1265,
     "fleet": 310,
     "foundation": 1325,
@@ -36,7 +36,7 @@ ROOMS = {
     "workbench": 2187,
 }
 HOUSE = {
-    "lines of Python": 36194,
+    "lines of Python": 36193,
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2713,

@@ -29,8 +29,7 @@ from dehyst._validation import Numbers, interval, number
 from dehyst._views.lines import percent
 from dehyst.control.axis import allowed_limits
 from dehyst.control.limits import VoltageLimits
-from dehyst.model import Actuator, State, creep_times, evaluator_of, knots_of, quasistatic, turned, voltages_of
-from dehyst.model.states import stroke_of
+from dehyst.model import Actuator, State, creep_times, knots_of, quasistatic, stroke_of, turned, voltages_of
 from dehyst.waveforms import Branch, Excitation, Sampling
 
 # Least duration of a branch of a homing [s].
@@ -364,7 +363,7 @@ def possible_states(
 
     # After resting for ever at either limit.
     rested = [
-        evaluator_of(still).complete_state(State(end.deformation, end.carts, smooth=share * lengths))
+        still._evaluator.complete_state(State(end.deformation, end.carts, smooth=share * lengths))
         for end in (_on_major_loop(actuator, low, 1), _on_major_loop(actuator, high, -1))
         for share in ((1.0, 0.0, -1.0) if lengths.size else (1.0,))
     ]
