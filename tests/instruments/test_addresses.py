@@ -74,6 +74,16 @@ def test_addresses_that_are_none(tmp_path):
     assert (rig.limits.low, rig.limits.high, rig.slew_rate) == (1.0, 7.0, 3.0)
 
 
+OWN = "from dehyst.instruments.simulated import SimulatedRig\nfrom dehyst.virtual import PlayActuator\n"
+
+
+def own_rig(folder, code, begin=""):
+    """The address of a rig of one's own, by the code of its module."""
+    path = folder / "rig_of_mine.py"
+    path.write_text(f"{begin}\n{OWN}{code}\n")
+    return f"{path}:make"
+
+
 @pytest.mark.parametrize(
     "begin",
     [
@@ -86,12 +96,9 @@ def test_a_rig_of_ones_own_is_a_module_like_others(tmp_path, monkeypatch, begin)
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.setattr(sys, "modules", dict(sys.modules))
     (tmp_path / "plant_of_mine.py").write_text("from dehyst.virtual import PlayActuator\nPLANT = PlayActuator()\n")
-    (tmp_path / "rig_of_mine.py").write_text(
-        f"from __future__ import annotations\n{begin}\n"
-        "from dehyst.instruments.simulated import SimulatedRig\nfrom dehyst.virtual import PlayActuator\n"
-        "def make(**asked):\n    return SimulatedRig(PlayActuator(), limits=asked['limits'])\n"
-    )
-    with open_rig(f"{tmp_path / 'rig_of_mine.py'}:make", limits=(0.0, 5.0)) as rig:
+    code = "def make(**asked):\n    return SimulatedRig(PlayActuator(), limits=asked['limits'])"
+    address = own_rig(tmp_path, code, f"from __future__ import annotations\n{begin}")
+    with open_rig(address, limits=(0.0, 5.0)) as rig:
         assert rig.limits.high == 5.0
 
 
@@ -100,21 +107,12 @@ def test_a_rig_of_ones_own_is_a_module_like_others(tmp_path, monkeypatch, begin)
     [({"limits": (0.0, 20.0)}, "allows 0 to 200 V .* but 0 to 20 V"), ({"slew_rate": 5.0}, "but .* 5 V/s")],
 )
 def test_a_rig_that_does_not_keep_to_what_was_asked_is_refused(tmp_path, asked, why):
-    own = tmp_path / "rig_that_forgets.py"
-    own.write_text(
-        "from dehyst.instruments.simulated import SimulatedRig\nfrom dehyst.virtual import PlayActuator\n"
-        "def make(**asked):\n    return SimulatedRig(PlayActuator())\n"
-    )
+    address = own_rig(tmp_path, "def make(**asked):\n    return SimulatedRig(PlayActuator())")
     with pytest.raises(RigError, match=f"{why}.*pass limits and slew_rate on"):
-        open_rig(f"{own}:make", **asked)
+        open_rig(address, **asked)
 
 
 def test_a_rig_that_was_never_made_is_told(tmp_path):
-    own = tmp_path / "rig_half_made.py"
-    own.write_text(
-        "from dehyst.instruments.simulated import SimulatedRig\n"
-        "class Half(SimulatedRig):\n    def __init__(self): pass\n"
-        "def make(**asked):\n    return Half()\n"
-    )
+    half = "class Half(SimulatedRig):\n    def __init__(self): pass\ndef make(**asked):\n    return Half()"
     with pytest.raises(RigError, match="its __init__"):
-        open_rig(f"{own}:make")
+        open_rig(own_rig(tmp_path, half))
