@@ -1,4 +1,4 @@
-"""Checks of a model: the patterns of its residuals, and the causes of these."""
+"""Checks of a model: patterns in its residuals, and their causes."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from dehyst.identification.results import Check, Trace, Verdict, may_creep
 from dehyst.records import rms, turning_points, white_noise
 
 _OF_STROKE, _A_DECADE = "% of the stroke", "% a decade"
-# Places along the stroke; least number of branches at a place, or of a record, whose scatter is estimated.
+# Number of places along the stroke; least number of branches, at a place or in a record, to estimate their scatter.
 _PLACES, _FEWEST = 12, 3
-# Noise alone exceeds the floor of a check this often; smaller patterns are below the resolution of a record [%].
+# Probability that noise alone exceeds the floor of a check; least pattern that a record resolves [%].
 _RISK, _SMALLEST = 0.05, 0.1
-_OTHER_WIDTH = "the model's loops have another width there"
+_OTHER_WIDTH = "the loops of the model have another width there"
 _OTHER_MIDDLE = "the spring or the transformer bends more there than its knots allow"
-# Meaning or remedy of a check that fails, by its name; the promise names the loops that would help.
+# Meaning or remedy of a failed check, by its name; the promise names the loops that would help.
 REMEDIES = {
-    "Width": "the model's loops are wider or narrower than those of the records",
-    "Middle line": "record slower loops over the whole range, and see that sensor and load stay the same",
+    "Width": "the loops of the model are wider or narrower than the loops of the records",
+    "Middle line": "record slower loops over the whole range, and check that sensor and load do not change",
     "No drift": "let the actuator warm up, or record holds of a minute",
 }
 # Causes and remedies, by attribute of `RemainingError`.
@@ -36,23 +36,23 @@ _CAUSES = {
         "drift or another slow cause",
         "Let the actuator warm up, record at a constant temperature, or zero the sensor in time.",
     ),
-    "vibration": ("a vibration", "Isolate the stage, or close the loop: no model of the voltage can follow it."),
+    "vibration": ("a vibration", "Isolate the stage, or close the loop: no model of the voltage can predict it."),
     "model": ("the model", "Other loops may reduce it, if dehyst insight names some."),
 }
-# A line of the residual with this part of its power, so much higher than its neighbours, is a vibration; one that has
-# more power than this, relative to the voltage's strongest line, belongs to the voltage.
+# A spectral line is a vibration if it has this part of the residual's power and this ratio to its neighbours. It
+# belongs to the voltage if the voltage has more than this power there, relative to the strongest line of the voltage.
 _LINE_POWER, _LINE_HEIGHT, _DRIVEN = 0.05, 20.0, 1e-4
-# A voltage is periodic if one line holds this part of its power, in as many cycles at least.
+# A voltage is periodic if one line holds this part of its power, and it has at least this number of cycles.
 _PERIODIC, _FEWEST_PERIODS = 0.5, 6
-# Number of lines around a vibration to compare with; error of a line's middle, in steps of the frequency.
+# Number of neighbours that a line is compared with; error of the frequency of a line, in steps of the spectrum.
 _NEIGHBOURS, _APART = 20, 0.15
 
 
 def residual_checks(traces: Sequence[Trace], stroke: float) -> tuple[Check, ...]:
     """Test the residuals of training records.
 
-    Those of a model that follows its records do not differ between rising and falling branches, along the stroke, or in
-    time.
+    If a model follows its records, the residuals do not differ between rising and falling branches, along the stroke,
+    or in time.
 
     `traces`: as in `Fit`. `stroke`: range of the widest training loop [m].
 
@@ -66,13 +66,13 @@ def residual_checks(traces: Sequence[Trace], stroke: float) -> tuple[Check, ...]
 
 
 def _patterns(training: Sequence[Trace], stroke: float) -> list[Check]:
-    """Test that mean residuals of rising and falling branches lie neither apart nor off together at any place."""
+    """Test at every place that the mean residuals of rising and falling branches neither differ nor shift together."""
     from scipy.special import stdtrit
 
     settled = [trace.settled for trace in training]
     low, high = min(trace.simulated.min() for trace in settled), max(trace.simulated.max() for trace in settled)
     edges = np.linspace(low, high, _PLACES + 1)
-    # Mean residuals at the places (K,) [% of the stroke], a row a branch.
+    # Mean residuals at the places (K,) [% of the stroke], one row for each branch.
     falling, rising = list[Array](), list[Array]()
     for trace in settled:
         place = np.clip(np.searchsorted(edges, trace.simulated, side="right") - 1, 0, _PLACES - 1)
@@ -85,9 +85,9 @@ def _patterns(training: Sequence[Trace], stroke: float) -> list[Check]:
     (up, up_error, rises), (down, down_error, falls) = (_averaged(rows, usual) for rows in (rising, falling))
     passed = (rises > 0) & (falls > 0)
     if not passed.any():
-        unpassed = "No place is passed in both directions."
+        unpassed = "No branches of both directions pass the same place."
         return [_unknown(name, _OF_STROKE, unpassed) for name in ("Width", "Middle line")]
-    # The scatter of few branches is uncertain: Student's quantile, for the worst of all places.
+    # The scatter of few branches is uncertain: the floor is Student's quantile, for the worst of all places.
     free = np.maximum(np.minimum(rises, falls), _FEWEST) - 1
     floors = 0.5 * stdtrit(free, 1 - _RISK / (2 * _PLACES)) * np.hypot(up_error, down_error)
 
@@ -105,7 +105,7 @@ def _patterns(training: Sequence[Trace], stroke: float) -> list[Check]:
 
 
 def _no_drift(training: Sequence[Trace], stroke: float) -> Check:
-    """Test the slope of the branches' mean residuals over the logarithm of the time since the record's start."""
+    """Test the slope of the mean residuals of branches over the logarithm of the time since the start of a record."""
     from scipy.special import stdtrit
 
     drifts = []
@@ -129,7 +129,7 @@ def _no_drift(training: Sequence[Trace], stroke: float) -> Check:
     if not drifts:
         return _unknown("No drift", _A_DECADE, "No record has enough branches to determine a drift.")
     _, value, floor, unit, record = max(drifts)
-    why = "the actuator creeps more slowly than the model, or its surroundings change"
+    why = "the actuator has slower creep than the model, or its surroundings change"
     return _tested("No drift", value, floor, f"{record}: the residual drifts by {digits(value)} {unit}", why, unit)
 
 
@@ -141,9 +141,9 @@ def _branches(trace: Trace) -> list[slice]:
 
 
 def _averaged(rows: Sequence[Array], usual: float) -> tuple[Array, Array, NDArray[np.intp]]:
-    """Return mean, standard error and number of the rows' values at each place (K,); NaN is left out.
+    """Return mean, standard error and number of the values of all rows at each place (K,); NaN is left out.
 
-    `usual`: standard deviation of a value where too few make one.
+    `usual`: standard deviation of a value at places with too few values.
     """
     values = np.ma.masked_invalid(np.reshape(rows, (-1, _PLACES)))
     count = values.count(axis=0)
@@ -152,7 +152,7 @@ def _averaged(rows: Sequence[Array], usual: float) -> tuple[Array, Array, NDArra
 
 
 def _tested(name: str, value: float, floor: float, sentence: str, why: str, unit: str = _OF_STROKE) -> Check:
-    """Return a check that holds up to its floor, or up to what has no effect; `why` is the cause if it fails."""
+    """Return a check that holds up to its floor, or up to the least pattern; `why` is the cause if it fails."""
     if value > max(floor, _SMALLEST):
         return Check(name, Verdict.FAILS, value, floor, unit, f"{sentence}: {why}.")
     cause = "has no effect" if value <= _SMALLEST else "scatter explains"
@@ -173,8 +173,8 @@ class RemainingError:
     rms : float
         RMS of the residual without its mean [m].
     noise, slow, vibration, model : float
-        Shares of white noise, of drift and other slow causes, of vibration (a line not in the voltage), and of the
-        model.
+        Shares of white noise, of drift and other slow causes, of vibration (a spectral line that the voltage does not
+        have), and of the model.
     frequency : float
         Frequency of the vibration [Hz]; 0 without one.
     """
@@ -195,7 +195,7 @@ class RemainingError:
 
     @property
     def sensed(self) -> float:
-        """RMS of the sensor's part: white noise and vibration [m]."""
+        """RMS of the sensor error: white noise and vibration [m]."""
         return self.rms * float(np.sqrt(self.noise + self.vibration))
 
     def sentence(self, stroke: float) -> str:
@@ -208,7 +208,7 @@ class RemainingError:
             size = 100 * self.vibration_amplitude / stroke
             line = f" The vibration has {self.frequency:.3g} Hz and {digits(size)} % of the stroke."
         text = f"{', '.join(parts) or 'none'}.{line} {_CAUSES[largest_first[0]][1]}"
-        return f"{self.record}: of the remaining error's power, {text}"
+        return f"{self.record}: power of the remaining error: {text}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -219,8 +219,8 @@ def remaining_error(trace: Trace) -> RemainingError:
     """Split the mean square of a record's residual.
 
     White noise differs from sample to sample. The slow part remains in means over a cycle: drift, temperature, creep
-    that the model lacks. A line that is not in the voltage is a vibration. The rest repeats with the voltage: it is the
-    model's own error.
+    that the model lacks. A line that the voltage does not have is a vibration. The rest repeats with the voltage: it is
+    the error of the model.
     """
     residual = trace.residual - trace.residual.mean()
     total = float(np.mean(residual**2))
@@ -233,14 +233,14 @@ def remaining_error(trace: Trace) -> RemainingError:
     frequency, line = _vibration(trace, fast)
     drifting = float(np.mean(slow**2))
     model = max(total - white - drifting - line, 0.0)
-    # Estimates of parts may add up to more than the whole.
+    # The estimated parts may have a larger sum than the whole.
     scale = total / max(white + drifting + line + model, total)
     noise, drift, vibration, rest = (part * scale / total for part in (white, drifting, line, model))
     return RemainingError(trace.record, trace.role, size, noise, drift, vibration, rest, frequency)
 
 
 def _slow(trace: Trace, residual: Array) -> Array:
-    """Return means over a cycle of the voltage (n,)."""
+    """Return the means of a residual over a cycle of the voltage (n,)."""
     turns = turning_points(trace.voltage, 0.02 * float(np.ptp(trace.voltage)))
     cycle = max(int(2 * residual.size / max(len(turns), 2)), 2)
     if cycle >= residual.size:
@@ -262,7 +262,7 @@ def _vibration(trace: Trace, residual: Array) -> tuple[float, float]:
     driven = float(drive[near].max()) > _DRIVEN * float(drive[1:].max(initial=0.0)) or _harmonic(drive, k)
     if driven or share < _LINE_POWER or not around.size or power[k] < _LINE_HEIGHT * float(np.median(around)):
         return 0.0, 0.0
-    # The sine next to that line that holds most of the residual.
+    # The sine near that line that explains most of the residual.
     time = np.arange(residual.size) * step
     frequencies = k / (step * residual.size) + np.linspace(-1, 1, 21) / time[-1]
     sizes = [2 * abs(np.mean(residual * np.exp(-2j * np.pi * f * time))) for f in frequencies]
@@ -271,7 +271,7 @@ def _vibration(trace: Trace, residual: Array) -> tuple[float, float]:
 
 
 def _harmonic(drive: Array, k: int) -> bool:
-    """Return whether line k is a multiple of the voltage's strongest line, as hysteresis makes them."""
+    """Return whether line k is a harmonic of the strongest line of the voltage: hysteresis makes harmonics."""
     first = int(np.argmax(drive[1:])) + 1
     lines = np.arange(max(first - 2, 1), min(first + 3, drive.size))
     own = drive[lines]
@@ -280,5 +280,5 @@ def _harmonic(drive: Array, k: int) -> bool:
     middle = float(lines @ own / own.sum())
     multiple = max(round(k / middle), 1)
     within = _APART * multiple + 1
-    # Beyond a quarter of the distance between multiples, any line would count as one.
+    # With a tolerance above a quarter of the distance between harmonics, any line would count as a harmonic.
     return abs(k - multiple * middle) <= within <= middle / 4

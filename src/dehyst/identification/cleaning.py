@@ -15,23 +15,23 @@ from dehyst.model import Dynamics
 from dehyst.records import Record, cleaned, counting, gaps, noise_span, reversals, turning_points, white_noise
 
 _BINS = 64
-# Displacements in a hole that exceed those beside it by this part of the stroke show a reversal.
+# Displacements in a hole show a reversal if they exceed those beside the hole by this part of the stroke.
 _TURN = 0.02
-# Least rate of the voltage beside a gap, as a part of its mean rate in the gap: a reversal in it would be faster.
+# Least rate of the voltage on both sides of a gap, as a part of its mean rate in the gap, that excludes a reversal.
 _ALIKE = 0.5
-# Nothing of a path is missing in a gap this brief, in cycles, in which the voltage moves by so few median steps.
+# A gap loses no part of a path if it is shorter than this [cycles] and the voltage moves by fewer median steps in it.
 _BRIEF, _STEP = 0.02, 1.5
-# A voltage rests within this part of its range; this number of its samples is kept. A rest of fewer cycles stays.
+# A voltage rests within this part of its range; this number of samples of a rest is kept. Shorter rests [cycles] stay.
 _STILL, _KEPT, _LEAST_REST = 2e-3, 20, 0.5
 # Displacements at rest that move by less than this part of the stroke show no creep.
 _FLAT = 1e-3
 
 
 def clean(record: Record, *, ringing: bool = False) -> tuple[Record, Mapping[float, bool], tuple[str, ...]]:
-    """Return a record without what `dehyst.records.cleaning` leaves out, its holes, and a sentence for each.
+    """Return a record without the samples that `dehyst.records.cleaning` leaves out, its holes, and sentences.
 
-    `ringing`: whether the displacement stays in the transients that are left out. The holes: time [s] of the sample
-    before each -> whether a reversal may lie in it, by the displacements left out.
+    `ringing`: whether the displacement stays in the transients that are left out. The holes map the time [s] of the
+    sample before each hole to whether the displacements left out show a reversal in it.
     """
     found = cleaned(record, ringing=ringing)
     holes = dict(_hole(record, start - 1, stop) for start, stop in found.glitches if start and stop < len(record))
@@ -41,8 +41,7 @@ def clean(record: Record, *, ringing: bool = False) -> tuple[Record, Mapping[flo
 def rest_at_ends(record: Record) -> tuple[int, int]:
     """Return the first and one after the last sample of a record without the rest before and after its motion.
 
-    Rest at the end is kept if the displacement moves in it: it shows creep. Either is kept if it is shorter than a part
-    of a cycle.
+    Rest at the end is kept if the displacement moves in it: it shows creep. A rest shorter than half a cycle is kept.
     """
     v, y, size = record.voltage, record.displacement, len(record)
     still = max(_STILL * float(np.ptp(v)), noise_span(v))
@@ -58,7 +57,7 @@ def rest_at_ends(record: Record) -> tuple[int, int]:
     if record.time[-1] - record.time[stop - 1] < least or _creeps(rest, record):
         stop = size
     if counted is not None:
-        # A step out of rest or into it belongs to the rest.
+        # A step at the end of a rest or into a rest belongs to it.
         aside = np.flatnonzero(~counted)
         start = _beyond(aside, start) if start else start
         stop = size - _beyond(size - 1 - aside[::-1], size - stop) if stop < size else stop
@@ -66,7 +65,7 @@ def rest_at_ends(record: Record) -> tuple[int, int]:
 
 
 def _beyond(aside: NDArray[np.intp], start: int) -> int:
-    """Return the sample after the run of samples that begins soon after `start`, or `start` if none does."""
+    """Return the sample after a run of samples that begins soon after `start`; without such a run, `start`."""
     first = int(np.searchsorted(aside, start))
     if first == aside.size or aside[first] > start + 2 * _KEPT:
         return start
@@ -75,27 +74,27 @@ def _beyond(aside: NDArray[np.intp], start: int) -> int:
 
 
 def without_way_out(record: Record) -> tuple[Record, tuple[str, ...]]:
-    """Set aside the samples up to the first turn of the voltage of a record that begins as a ring fades, and say so.
+    """Leave out the samples before the first turn of the voltage if a record begins while ringing decays; say so.
 
-    A ring can leave hysteresis in a state that no voltage leads to; the loops after the first turn forget it.
+    Ringing can leave hysteresis in a state that no voltage leads to; the loops after the first turn forget it.
     """
     turn = int(np.append(reversals(record), 0)[0])
     begin, end = float(record.time[0]), float(record.time[turn])
     sentence = (
-        f"{record.name}: from {begin:.4g} to {end:.4g} s, to the first turn of the voltage, the state depends on the "
-        f"ring before; these {turn} samples are left out."
+        f"{record.name}: from {begin:.4g} to {end:.4g} s, up to the first turn of the voltage, the state depends on "
+        f"earlier ringing; these {turn} samples are left out."
     )
     return replace(record, set_aside=(*record.set_aside, (begin, end))), (sentence,) if turn else ()
 
 
 def _leading(values: Array, still: float) -> int:
-    """Return the samples before the first one that is not as the first ones are."""
+    """Return the number of samples before the first one that differs from the first samples."""
     moved = np.abs(values - np.median(values[:_KEPT])) > still
     return int(np.argmax(moved)) if moved.any() else values.size
 
 
 def _creeps(y: Array, record: Record) -> bool:
-    """Whether displacements (n,) at a constant voltage move, beyond their noise."""
+    """Whether displacements (n,) at a constant voltage move by more than noise."""
     quarter = len(y) // 4
     if not quarter:
         return False
@@ -145,8 +144,8 @@ def transient(record: Record) -> int:
 def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> tuple[list[Record], list[str]]:
     """Cut a record where a gap may hide a reversal; return the pieces, and a sentence for each gap.
 
-    Maxwell-slip does not depend on time: other gaps stay, and brief ones in which the voltage hardly moved, as between
-    two repetitions of a wave, without a sentence. `holes`: those of `clean`: displacements in them are known.
+    Maxwell-slip does not depend on time, so that other gaps stay. Brief gaps in which the voltage hardly moved, such as
+    between two repetitions of a wave, get no sentence. `holes`: holes from `clean`, with known displacements.
     """
     cuts, sentences = [0], []
     cycle, known_holes = cycle_time(record), holes or {}
@@ -171,7 +170,7 @@ def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> 
 
 
 def _goes_on(record: Record, i: int, length: float) -> bool:
-    """Whether the voltage moves through the gap of this length [s] after sample i as it does before and after it."""
+    """Whether the voltage moves through the gap of this length [s] after sample i like before and after the gap."""
     if not 0 < i < len(record) - 2:
         return False
     rate = (record.voltage[i + 1] - record.voltage[i]) / length
@@ -190,7 +189,7 @@ def cycle_time(record: Record) -> float:
 
 # Noise below this part of the range has no effect on elements.
 _QUIET = 3e-4
-# Derivatives are those of a polynomial of fourth order through this many neighbours.
+# Derivatives come from a polynomial of this order through this number of neighbours.
 _WINDOW, _ORDER = 9, 4
 
 
@@ -212,9 +211,9 @@ def derivatives(piece: Record) -> tuple[Array, Array]:
 def local_polynomials(y: Array, window: int, order: int, derivative: int = 0, step: float = 1.0) -> Array:
     """Return y (n,), or a derivative, by a polynomial through the neighbours of each sample (Savitzky and Golay).
 
-    `window`: an odd number of samples, n at most. The first and the last polynomial hold up to the ends.
+    `window`: an odd number of samples, n at most. The first and the last polynomial continue to the ends.
     """
-    # To import SciPy's filter takes longer than to identify most records.
+    # The import of SciPy's filter takes longer than most identifications.
     half = window // 2
     values = np.vander(np.arange(-half, half + 1) / half, order + 1, increasing=True)
     fit = np.linalg.pinv(values)
@@ -224,25 +223,25 @@ def local_polynomials(y: Array, window: int, order: int, derivative: int = 0, st
     return np.concatenate([values[:half] @ (fit @ y[:window]), inside, values[half + 1 :] @ (fit @ y[-window:])])
 
 
-# Least turn of the voltage as a part of its range, if above its noise; a hold moves less than a tenth of it in this
-# many samples.
+# Least turn of the voltage as a part of its range, if above its noise; a hold moves by less than a tenth of this turn
+# in this number of samples.
 _LEAST_TURN = 2e-3
 _HOLD = 8
-# Parts of a cycle in a parabola's window, most samples.
+# Window of a parabola: a cycle over this number; its largest number of samples.
 _PART_OF_CYCLE, _WIDEST = 16, 12
 
 
 def disturbs(noise: float, stroke: float) -> bool:
-    """Whether a sensor's noise [m] biases Maxwell-slip elements, at a range of the widest loop [m]."""
+    """Whether the noise of a sensor [m] biases Maxwell-slip elements; `stroke`: range of the widest loop [m]."""
     return noise > RULES.loud * stroke
 
 
 def remove_jitter(piece: Record, noise: float, stroke: float) -> Record:
-    """Return a piece whose displacement moves as an actuator does.
+    """Return a piece with a displacement that noise does not reverse: monotone on each branch.
 
-    `piece`: its delay removed. `noise`, `stroke`: standard deviation of the sensor [m], and range of the widest loop
-    [m]: if the noise is significant, parabolas through neighbours, over a part of a cycle, come first; of loud noise
-    over wider parts, each branch by itself, or a turn would lie beyond what the actuator reaches.
+    `piece`: piece without delay. `noise`: standard deviation of the sensor [m]. `stroke`: range of the widest loop [m].
+    Significant noise is first smoothed by parabolas over a part of a cycle. For loud noise the parts are wider, and
+    each branch is smoothed alone: otherwise turns would be rounded.
     """
     part = int(cycle_time(piece) / piece.sample_time / _PART_OF_CYCLE)
     if disturbs(noise, stroke):
@@ -258,8 +257,8 @@ def remove_jitter(piece: Record, noise: float, stroke: float) -> Record:
 def _between_turns(piece: Record, window: int) -> Record:
     """Return a piece whose displacement is smooth and monotone from turn to turn.
 
-    An error at a turn stays in the elements for the whole branch after it. So a turn is the mean of what both branches
-    show, and no sample of a branch lies beyond its turns, as the ends of a monotone fit to noise do.
+    An error at a turn stays in the elements for the whole branch after it. Therefore a turn is the mean of the values
+    of both branches, and no sample of a branch lies beyond its turns; the ends of a monotone fit to noise would.
     """
     y, branches = piece.displacement.copy(), _counted_branches(piece)
     sums, counts = np.zeros(y.size), np.zeros(y.size)
@@ -280,7 +279,7 @@ def _between_turns(piece: Record, window: int) -> Record:
 
 
 def _counted_branches(piece: Record) -> list[tuple[int, int, bool | None]]:
-    """Return the branches of `_branches` within what counts."""
+    """Return the branches of `_branches` within the samples that count."""
     parts = (
         (max(a, start), min(b, stop), rising) for a, b, rising in _branches(piece) for start, stop in _stretches(piece)
     )
@@ -288,7 +287,7 @@ def _counted_branches(piece: Record) -> list[tuple[int, int, bool | None]]:
 
 
 def _stretches(piece: Record) -> list[tuple[int, int]]:
-    """Return the first and one after the last sample of each stretch that counts."""
+    """Return the first and one after the last sample of each run of samples that count."""
     if (counted := counting(piece)) is None:
         return [(0, len(piece))]
     edges = np.flatnonzero(np.diff(np.concatenate([[0], counted.astype(np.int8), [0]])))
@@ -298,7 +297,7 @@ def _stretches(piece: Record) -> list[tuple[int, int]]:
 def monotone(piece: Record) -> Record:
     """Return a piece whose displacement moves in the direction of its voltage, by least squares.
 
-    Where the voltage is held, the displacement moves in one direction, as creep does. The delay must be removed first.
+    While the voltage is held, the displacement moves in one direction, like creep. The delay must be removed before.
     """
     from scipy.optimize import isotonic_regression
 
@@ -327,7 +326,7 @@ def _holds(v: Array, least: float) -> NDArray[np.intp]:
     """Return the samples where the voltage comes to rest and leaves it."""
     if v.size <= _HOLD:
         return np.zeros(0, dtype=np.intp)
-    # The range of a window, because its ends are equal at a turn; within noise nothing moves.
+    # The range of a window decides, because its ends are equal at a turn; motion within the noise does not count.
     still_range = max(0.1 * least, 6 * white_noise(v))
     windows = np.lib.stride_tricks.sliding_window_view(v, _HOLD + 1)
     ahead = np.ptp(windows, axis=1) < still_range

@@ -1,4 +1,4 @@
-"""Comparison of measurement and simulation: a model simulated from a state that the record determines."""
+"""Comparison of measurement and simulation: a model is simulated from a state that the record determines."""
 
 from __future__ import annotations
 
@@ -27,42 +27,42 @@ from dehyst.identification.structure import Grid
 from dehyst.model import Actuator, Identification, State, at_reference, major_loop, needs_time, voltages_of
 from dehyst.records import Record, counting, largest, rms, turning_points
 
-# Most rows; a longer record is thinned evenly.
+# Largest number of rows; a longer record is thinned evenly.
 MOST_ROWS = 200_000
-# Samples that the carts at a start are fitted to, and how many of them after all elements are in a known state.
+# Number of samples for the fit of the carts at a start, and of samples after all elements are in a known state.
 _START_SAMPLES, _KNOWN_SAMPLES = 1000, 200
-# Least slope of a branch, of the mean one: a weight must not grow without bound.
+# Least slope of a branch, as a part of the mean slope, so that weights stay bounded.
 _LEAST = 0.05
 # Least turn of a voltage of events, as a part of its range.
 _TURN = 5e-3
-# Part of the samples that count as outliers.
+# Share of the samples that counts as outliers.
 _OUTLIERS = 1e-3
-# Rows for the search of a zero, and for the numbers of parts; turns that find these.
+# Number of rows for the search of a zero, and for the numbers of parts; iterations for the numbers of parts.
 _FEW, _SOME, _TURNS = 1000, 10_000, 2
-# Steps of the search for the zero without an offset of the voltages, and the part of the stroke that ends it.
+# Search for the zero without an offset of the voltages: number of steps, and least step, as a part of the stroke.
 _STEPS, _CLOSE = 8, 1e-5
-# Creep from before a record is a part of the stroke: its prior, and the least error of a model, as parts of the stroke.
+# Usual size of creep from before a record, and least error of a model, both as parts of the stroke.
 _STRAINED, _DOUBT = 0.3, 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class RecordComparison:
-    """A record compared with a model: its samples that count, and the constants that it needs.
+    """A record compared with a model: the samples that count, and the fitted constants.
 
     Attributes
     ----------
     given : Prepared
-        As measured.
+        The record as measured.
     frame : Frame
-        The record, reduced, with the path before resonance, creep and drift that hysteresis makes on the model's axis.
+        The reduced record, with the path of the hysteresis on the model's axis, before resonance, creep and drift.
     source : RowSource
-        Its pieces.
+        Pieces of the record.
     program : Program
-        Its rows.
+        Program with the rows of the record.
     found : Solution
-        The model's coefficients, and the constants of this record.
+        Coefficients of the model, and constants of this record.
     base : float
-        Voltage of the model's spring at its first knot [V]: a constant less this is an offset.
+        Voltage of the model's spring at its first knot [V]: an offset is a constant minus this voltage.
     """
 
     given: Prepared
@@ -74,19 +74,19 @@ class RecordComparison:
 
     @cached_property
     def before(self) -> Prepared:
-        """The record before creep and drift."""
+        """The record without creep and drift."""
         return self.frame.motion.before(self.given, 0)
 
     @cached_property
     def whole(self) -> list[Record]:
-        """Its pieces with all samples, voltages delayed, displacements on the model's axis: those that are played."""
+        """Pieces for simulations: all samples, with delayed voltages, and displacements on the model's axis."""
         shift, at = self.frame.shift(0), self.frame.motion
         return [
             replace(piece, displacement=piece.displacement + shift) for piece in self.before.acting(at.delay, at.lag)
         ]
 
     def last_offsets(self) -> list[float]:
-        """Offset [V] of the last epoch of each piece; without such an epoch, or its rows, that of the nearest one."""
+        """Offset [V] of the last epoch of each piece; if it has no rows, of the nearest epoch with rows."""
         known, numbers = sorted(self.found.offsets), np.cumsum([len(own) for own in self.source.epochs]) - 1
         nearest = [min(known, key=lambda k: abs(k - epoch)) for epoch in np.maximum(numbers, 0).tolist()]
         return [self.found.offsets[k] - self.base for k in nearest]
@@ -94,16 +94,16 @@ class RecordComparison:
     def played(self, actuator: Actuator, number: int) -> tuple[State, list[Array]]:
         """Return the start of a piece, and time, voltage, measured and simulated displacement where samples count.
 
-        The piece is simulated whole, its voltages less their offset; in excluded stretches the measured displacement
-        drives the model.
+        The whole piece is simulated, with the offset removed from its voltages. In samples that do not count, the
+        measured displacement drives the model.
         """
         start, offset, first = self.start_of(actuator, number)
         piece, block, runs = self.whole[number], self.given.block, []
-        # The piece's voltages are those that act, behind the amplifier.
+        # The voltages of the piece already include the lag of the amplifier.
         model, state = replace(actuator._before_creep, lag=0.0), replace(start, displacement_creep=())
         begin = first * block + block // 2
         for low, high, counted in _runs(piece, begin, len(piece)):
-            # A run's first sample has no step of time before it: a later one repeats the sample that the state is of.
+            # A simulation has no time step before its first sample: later runs repeat the sample of the present state.
             again = int(needs_time(actuator) and low > begin)
             run, own = slice(low - again, high), slice(low, high)
             time, measured = piece.time[run], piece.displacement[run]
@@ -128,8 +128,8 @@ class RecordComparison:
     def start_of(self, actuator: Actuator, number: int) -> tuple[State, float, int]:
         """Return the state at the first sample of a piece that counts, the offset of its voltages [V], and that sample.
 
-        None counts before the delay is over: its voltage is not recorded. The carts are those that explain the voltages
-        best before the displacement alone determines them.
+        No sample counts before the delay is over, as its voltage is not recorded. The carts are fitted to the voltages
+        before the displacement alone determines them.
         """
         own, piece = self.source.epochs[number], self.source.pieces[number].path
         first = max(min(int(np.ceil(actuator.delay / piece.sample_time)), len(piece) - 1), 0)
@@ -139,7 +139,7 @@ class RecordComparison:
         standing = bool(np.any((2 * actuator.slip.breakaway > last.reach) & (actuator.slip.friction > 0)))
         stop = last.stop if standing else max(last.start, first) + _KNOWN_SAMPLES
         path = piece.displacement[first:stop]
-        # Samples that lead elements as all of them do: the first one, the turning points, and some evenly.
+        # Some samples move the elements like all samples: the first one, the turning points, and evenly spaced ones.
         places = np.arange(path.size)
         if path.size > _START_SAMPLES:
             some = np.linspace(0, path.size - 1, _START_SAMPLES).astype(np.intp)
@@ -156,7 +156,7 @@ class RecordComparison:
         smooth, none, at_start = self.source.states[number][places], np.zeros((y.size, 0)), None
         start = fit(held if actuator.smooth is None else held - smooth @ actuator.smooth.stiffness, none, none[0])
         if actuator.smooth is not None:
-            # At rest, unless the voltages before the elements forget say otherwise.
+            # Smooth elements start at rest, unless the first voltages show another start.
             strained, elongations = fit_strained(actuator.smooth, y, held, fit)
             if strained.cost < RULES.carts_alone_gain * start.cost:
                 start, at_start = strained, elongations
@@ -177,7 +177,7 @@ class RecordComparison:
 def compare(
     actuator: Actuator, record: Prepared, stroke: float, *, zero: float | None = None, drifting: bool = False
 ) -> RecordComparison:
-    """Compare a record with a model: fit constants, zero, drift and creep before it, with the model fixed.
+    """Compare a record with a fixed model: fit constants, zero, drift, and creep from before the record.
 
     `stroke` [m]: reference of the percentages. `zero` [m]: shift to the model's axis; default: estimated. `drifting`:
     whether a drift is fitted too. Raise `IdentifyError` if no sample counts.
@@ -208,9 +208,9 @@ def compare(
 def _compared(
     actuator: Actuator, record: Prepared, stroke: float, motion: Motion, names: Sequence[str]
 ) -> RecordComparison:
-    """Compare a record with a model at given numbers; the numbers of parts of these `names` are fitted beside."""
+    """Compare a record with a model for given numbers of `motion`; fit the numbers of the parts in `names` too."""
     noise, spring = record.reduced.noise, actuator.spring
-    # Maxwell-slip elements take a displacement of little noise as it is.
+    # Maxwell-slip elements need no denoising of a displacement with little noise.
     denoised = actuator._wide or disturbs(noise, stroke)
     frame = Frame([record.reduced], motion, (spring.voltage[0], spring.voltage[-1]), 0, stroke, denoised=denoised)
     grid = Grid.of_actuator(actuator, np.ones(len(actuator.slip), dtype=bool))
@@ -230,7 +230,7 @@ def _compared(
 
 
 def coefficients(actuator: Actuator) -> Solution:
-    """Return an actuator's numbers as the solution of a program, without constants."""
+    """Return the numbers of an actuator as the solution of a program, without constants."""
     tau, stiffness, smooth = actuator.transformer, actuator.slip.stiffness, actuator.smooth
     return Solution(
         stiffness if stiffness.ndim == 2 else stiffness[:, None],
@@ -246,16 +246,16 @@ def coefficients(actuator: Actuator) -> Solution:
 
 
 def _with_nuisances(program: Program, model: Solution, gains: Array | float = 1.0) -> Solution:
-    """Return the coefficients of a model with the constants, and numbers of parts, that fit the rows best.
+    """Return the coefficients of a model, with the constants and numbers of parts that fit the rows best.
 
-    `gains`: of the creep whose strains before the record are among the parts.
+    `gains`: gains of the creep whose strains from before the record are among the parts.
     """
     rows = program.free_columns
     left = program.target - program.static(program.unknowns_of(model))
     prior, place = np.zeros(rows.shape[1]), program.numbers.size
     for part in program.parts:
         if part.name == "creep_before":
-            # Errors of a model are alike in many rows; those of one that has changed are large.
+            # Errors of a model are similar in many rows; the errors of a changed actuator are large.
             others = rows[:, :place]
             missed = rms(left - others @ np.linalg.lstsq(others, left, rcond=None)[0])
             doubt = max(_DOUBT, missed / float(np.ptp(program.grid.knots))) / _STRAINED
@@ -287,9 +287,9 @@ def _zero(compared: RecordComparison, actuator: Actuator) -> float:
 
 
 def zero_by_voltages(actuator: Actuator, record: Prepared, stroke: float) -> float:
-    """Return the shift [m] of a record to the axis of a model for which its voltages need no offset."""
+    """Return the shift [m] of a record to the axis of a model with which its voltages need no offset."""
     (low, high), measured = voltages_of(actuator), record.record.displacement
-    # The middle of the loop first: a sensor may have its zero far away.
+    # The search starts at the middle of the loop, as the zero of a sensor may be far away.
     zero = 0.5 * (sum(major_loop(actuator, record.record.voltage_range)) - float(measured.min() + measured.max()))
     for _ in range(_STEPS):
         step = compare(actuator, record, stroke, zero=zero).last_offsets()[-1] * stroke / (high - low)
@@ -300,9 +300,9 @@ def zero_by_voltages(actuator: Actuator, record: Prepared, stroke: float) -> flo
 
 
 def prepare_for(actuator: Actuator, record: Record) -> Prepared:
-    """Prepare a record as for an identification: at the reference temperature, without the lag of the sensor.
+    """Prepare a record like for an identification: at the reference temperature, without the lag of the sensor.
 
-    Its voltages are moved as those of the identification were.
+    Its voltages are moved in time by the lead of the identification.
     """
     known = actuator.identification or Identification()
     measured = at_reference(actuator, record)
@@ -312,15 +312,15 @@ def prepare_for(actuator: Actuator, record: Record) -> Prepared:
 
 
 def earlier(record: Record, seconds: float) -> Record:
-    """Return a record whose voltages act that much earlier."""
+    """Return a record whose voltages act earlier by `seconds`."""
     time = np.minimum(record.time + seconds, record.time[-1])
     return replace(record, voltage=np.interp(time, record.time, record.voltage))
 
 
 def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple[RecordComparison, ...]:
-    """Compare an actuator with records, by the options of its identification.
+    """Compare an actuator with records, with the options of its identification.
 
-    Percentages refer to the stroke of the promise, or else to the range of the widest loop of the records.
+    Percentages refer to the stroke of the promise; without a promise, to the range of the widest loop of the records.
     """
     prepared = [prepare_for(actuator, record).with_block(len(record) / MOST_ROWS) for record in as_list(records)]
     known = actuator.identification or Identification()
@@ -340,8 +340,8 @@ def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -
     squares over the samples that count. If no sample counts, because the record is too short or has no full cycle, the
     offset is taken from its last sample, and the remaining uncertainty of the carts is ignored.
 
-    `actuator`: the model. `lead`: the record before the state. `stroke` [m]: range of the widest training loop; default
-    that between the actuator's limits.
+    `actuator`: the model. `lead`: the record before the state. `stroke` [m]: range of the widest training loop;
+    default: the range between the limits of the actuator.
     """
     stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
     try:
@@ -355,7 +355,7 @@ def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -
         end = float(pieces[-1].path.time[-1])
         state, creep = compared.with_creep(actuator, state, end), actuator.displacement_creep
         if creep is not None:
-            # At rest after its motion, which does not count, the record creeps on.
+            # The rest after the motion is not in the pieces, but creep continues in it.
             rested = np.exp(-(float(lead.time[-1]) - end) / creep.time_constants)
             state = replace(state, displacement_creep=rested * state.displacement_creep)
         return state, compared.last_offsets()[-1]
@@ -375,11 +375,11 @@ def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -
 def initial_state(actuator: Actuator, record: Record, stroke: float | None = None) -> tuple[State, float]:
     """Return the state at a record's beginning, on the model's axis, and the offset of the record's voltages [V].
 
-    It is the start from which the simulation is nearest to the record, as in `RecordErrors.starts`: its carts, creep
-    strains and smooth elongations explain the first voltages best (`fit_start`).
+    Simulations of the record start from this state, see `RecordErrors.starts`: its carts, creep strains and smooth
+    elongations explain the first voltages best (`fit_start`).
 
     `actuator`: the model. `record`: the record that began in the state. `stroke` [m]: range of the widest training
-    loop; default that between the actuator's limits. Raise `RecordError` if the record is too short to be compared.
+    loop; default: the range between the actuator's limits. Raise `RecordError` if the record is too short.
     """
     stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
     compared = compare(actuator, prepare_for(actuator, record), stroke)
@@ -387,7 +387,7 @@ def initial_state(actuator: Actuator, record: Record, stroke: float | None = Non
 
 
 def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tuple[RecordErrors, Trace]:
-    """Simulate each piece of a record whole, from the best-fitting state at its first sample, and compare.
+    """Simulate each whole piece of a record, from the best-fitting state at its first sample, and compare.
 
     `role`: "training" or "validation".
     """
@@ -395,7 +395,7 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
     starts, drawn = zip(*(compared.played(actuator, k) for k in range(len(compared.source.pieces))), strict=True)
     time, voltage, measured, simulated = (np.concatenate(column) for column in zip(*drawn, strict=True))
     trace = Trace(record.name, role, time, voltage, measured, simulated, record.start)
-    # Errors are those at events; a turn of the voltage is filled.
+    # Only errors at events count; the displacement at a turn of the voltage is filled in.
     known, whole = record.record.measured, trace
     if known is not None:
         turns = turning_points(record.record.voltage, _TURN * float(np.ptp(record.record.voltage)))
@@ -436,7 +436,7 @@ def along_the_way(trace: Trace) -> float:
 def _runs(piece: Record, first: int, last: int) -> Iterator[tuple[int, int, bool]]:
     """Yield the first and one after the last sample of runs of one kind, and whether their samples count."""
     edges = [first, last]
-    # Between events the model goes on by the voltage.
+    # Between events the voltage drives the model.
     counted = counting(replace(piece, measured=None))
     if counted is not None:
         edges[1:1] = [k for k in (np.flatnonzero(np.diff(counted)) + 1).tolist() if first < k < last]

@@ -23,23 +23,23 @@ from dehyst.identification.results import RecordErrors
 from dehyst.model import Stage, apply, by_axis, inverse, matrix_lines
 from dehyst.records import Record
 
-# Plays of the voltage by their radii, as parts of its range, and segments of the range of each.
+# Radii of the plays of a voltage, as parts of its range; number of segments of the range of each play.
 _RADII, _SEGMENTS = np.geomspace(0.01, 0.5, 19), 6
-# Samples of a regression; of more, some evenly.
+# Largest number of samples of a regression; longer records are thinned evenly.
 _MOST_ROWS = 24_000
-# Ridge as a part of a column's energy, against columns that the record hardly moves.
+# Ridge as a part of the energy of a column, for columns that the record hardly moves.
 _RIDGE = 1e-8
-# Spans of the records that are left out in turn for the standard errors.
+# Number of time spans that are left out in turn for the standard errors.
 _SPANS = 24
-# Passes in which spans of time get the weight of their residuals, and the least power of a span, of the mean.
+# Passes that weight time spans by their residuals; least power of the residual of a span, as a part of the mean power.
 _REWEIGHTED, _LEAST_POWER = 4, 1e-3
-# Cycles of a span of time whose level is free, and most spans of a record.
+# Number of cycles of a time span with a free level; largest number of such spans of a record.
 _CYCLES, _MOST_LEVELS = 3, 24
-# Time constant of a logarithmic drift since the start of a record, in its durations.
+# Time constant of a logarithmic drift since the start of a record, as a part of the duration of the record.
 _LOGARITHM = 1e-3
-# Least share of a voltage's motion that the others do not explain, and of a displacement's that the voltages explain.
+# Least share of the motion of a voltage that other voltages do not explain; of a displacement that voltages explain.
 SEPARATE, _EXPLAINED = 0.01, 0.05
-# Two displacements are the same if they differ by less, of the stroke: by the rounding of a file.
+# Two displacements are equal if they differ by less than this part of the stroke, the rounding of a file.
 _ROUNDING = 1e-6
 
 
@@ -69,34 +69,34 @@ class StageFit:
 
     @property
     def model(self) -> Stage:
-        """The stage, as `Fit.model` is the actuator."""
+        """The stage; `Fit.model` is its counterpart for one actuator."""
         return self.stage
 
     @property
     def errors(self) -> tuple[RecordErrors, ...]:
-        """Errors of each record, those of one axis after another, on its decoupled displacement."""
+        """Errors of each record on its decoupled displacement, axis by axis."""
         return tuple(error for fit in self.fits for error in fit.errors)
 
     @property
     def good(self) -> bool:
-        """Whether the model may be used: every axis is usable, and moves most by its own voltage."""
+        """Whether the model may be used: every axis is usable, and its voltage moves it more than any other voltage."""
         return not self.exchanged and all(fit.good for fit in self.fits)
 
     @property
     def exchanged(self) -> tuple[str, ...]:
-        """Axes whose displacement moves more by another axis' voltage than by their own."""
+        """Axes that the voltage of another axis moves more than their own voltage."""
         others = np.abs(self.coupling - np.eye(len(self.axes))).max(axis=1, initial=0.0)
         return tuple(axis for axis, most in zip(self.axes, others.tolist(), strict=True) if most > 1)
 
     @property
     def verdict(self) -> str:
-        """One sentence on what to expect of the stage: what is promised of its worst axis."""
+        """One sentence on the expected error of the stage: the promise of its worst axis."""
         if self.exchanged:
             return (
-                f"Not usable: the voltage of another axis moves {', '.join(self.exchanged)} more than its own does; "
-                "are the columns of displacements exchanged?"
+                f"Not usable: the voltage of another axis moves {', '.join(self.exchanged)} more than its own voltage; "
+                "check whether the columns of displacements are exchanged"
             )
-        # The axis that is of least use, then that with the largest error.
+        # The worst axis has the lowest readiness, and then the largest error.
         levels = list(Readiness)
         axis, worst = max(
             zip(self.axes, self.fits, strict=True),
@@ -110,7 +110,7 @@ class StageFit:
         return f"{worst.promise.headline} (axis {axis}){ended}"
 
     def summary(self, full: bool = False) -> str:
-        """Return what `dehyst identify` prints of several axes, in lines; `full`: with `--verbose`."""
+        """Return the text that `dehyst identify` prints for several axes; `full`: with `--verbose`."""
         return "\n".join(escaped(line) for line in (self._lines if full else self._brief)())
 
     def as_dict(self) -> dict[str, Any]:
@@ -119,7 +119,7 @@ class StageFit:
         return json_values(self, keys) | {"fits": by_axis(self.axes, self.fits)}
 
     def _brief(self) -> Iterator[str]:
-        """Yield what to expect of each axis, or why the stage is of no use."""
+        """Yield the expected error of each axis, or why the stage is not usable."""
         if self.exchanged:
             yield self.verdict
         for axis, fit in zip(self.axes, self.fits, strict=True):
@@ -141,9 +141,9 @@ def identify_axes(
     identify: Callable[[list[Record], list[Record], Progress], Fit],
     report: Progress,
 ) -> StageFit:
-    """Identify a stage: its coupling matrix, and each axis by itself, by `identify`.
+    """Identify a stage: its coupling matrix, then each axis alone by `identify`.
 
-    Plays of the voltages give the motion of each actuator, and least squares of all displacements on these motions the
+    Plays of the voltages give the motion of each actuator. Least squares of all displacements on these motions give the
     coupling matrix. Then each axis is identified from its voltage and ``coupling^-1 y``.
 
     Raise `RecordError` or `IdentifyError` as `dehyst.identify`, with the name of the axis; or if a voltage or
@@ -191,19 +191,19 @@ def identify_axes(
 
 @dataclass(frozen=True, eq=False)
 class Plays:
-    """Plays of all voltages beside the displacements of a stage, the samples of its records one after another.
+    """Plays of all voltages and displacements of a stage; the samples of all records are concatenated.
 
     Attributes
     ----------
     axes : tuple of str
     blocks : tuple of (m, K) array
-        For each voltage, curves of its plays.
+        Curves of the plays of each voltage.
     slow : (m, P) array
         Slow motions of each record that no voltage explains.
     displacement : (m, axes) array
-        [m].
+        Displacements [m].
     spans : (m,) array
-        Number of the span of time.
+        Number of the time span of each sample.
     """
 
     axes: tuple[str, ...]
@@ -214,7 +214,7 @@ class Plays:
 
     @classmethod
     def of(cls, records: Sequence[Record]) -> Plays:
-        """Make the plays of each voltage, in its range in all records."""
+        """Make the plays of each voltage, scaled by its range in all records."""
         from scipy.linalg import block_diag
 
         low = np.min([record.voltage.min(axis=0) for record in records], axis=0)
@@ -233,9 +233,9 @@ class Plays:
     def coupling(self) -> tuple[Array, Array]:
         """Return the coupling matrix (axes, axes), and the standard error of each entry.
 
-        Each displacement is fitted to the plays of all voltages: those of its own voltage are the motion of its
-        actuator. Then all displacements are fitted to these motions. Raise `RecordError` if the voltages together
-        explain next to nothing of the motion of a displacement.
+        Each displacement is fitted to the plays of all voltages; the fitted plays of its own voltage are the motion of
+        its actuator. Then all displacements are fitted to these motions. Raise `RecordError` if the voltages explain
+        less than 5 % of the motion of a displacement.
         """
         explained = 1 - self.unexplained(self.displacement, self.blocks)
         for name, share in zip(self.axes, explained.tolist(), strict=True):
@@ -262,10 +262,10 @@ class Plays:
         return matrix, uncertainty
 
     def _weighted(self, rows: Array, measured: Array) -> tuple[Array, Array]:
-        """Return the products (S, p, p) and (S, p) of each span of time, with its weight.
+        """Return the weighted products (S, p, p) and (S, p) of each time span.
 
-        What is not followed differs between spans and is largest while an axis moves: a span has the weight of its mean
-        square residual.
+        Residuals differ between time spans and are largest while an axis moves: the weight of a span is inverse to its
+        mean square residual.
         """
         spans = [self.spans == span for span in np.unique(self.spans)]
         grams = np.array([rows[span].T @ rows[span] for span in spans])
@@ -287,15 +287,15 @@ class Plays:
         return np.array(shares)
 
     def unexplained(self, motion: Array, blocks: Sequence[Array]) -> Array:
-        """Return the share of each motion (m, k), slow ones aside, that the columns of `blocks` do not explain."""
+        """Return the share of each motion (m, k), without slow motions, that the columns of `blocks` do not explain."""
         energies = [(_left(rows, motion) ** 2).sum(axis=0) for rows in ([self.slow], [self.slow, *blocks])]
         return np.asarray((energies[1] + 1e-300) / (energies[0] + 1e-300))
 
 
 def _play_curves(u: Array) -> Array:
-    """Return curves (n, C) of plays of a voltage `u` (n,), as a part of its range: together they follow any hysteresis.
+    """Return curves (n, C) of plays of a voltage `u` (n,), 0 to 1 in its range; their sums follow any hysteresis.
 
-    Each play, and the voltage itself, is divided into hats: what it has of each segment of the range.
+    Each play, and the voltage itself, is divided into its parts in each segment of the range.
     """
     elongation, _ = slip_elongations(_RADII, np.full(_RADII.size, u[0]), np.ascontiguousarray(u))
     plays = np.column_stack([u, u[:, None] - elongation])
@@ -304,7 +304,7 @@ def _play_curves(u: Array) -> Array:
 
 
 def _scaled(columns: Sequence[Array]) -> Array:
-    """Return columns next to one another, each with the length 1; an empty one stays."""
+    """Return the columns in one array, each scaled to length 1; a column of zeros is not changed."""
     rows = np.hstack(columns)
     sizes = np.linalg.norm(rows, axis=0)
     return np.asarray(rows / np.where(sizes > 0, sizes, 1.0))
@@ -315,13 +315,13 @@ def _solution(gram: Array, right: Array) -> Array:
 
 
 def _left(columns: Sequence[Array], motion: Array) -> Array:
-    """Return what is left of motions (m, k) by least squares."""
+    """Return the residual of motions (m, k) after a least-squares fit of columns."""
     rows = _scaled(columns)
     return np.asarray(motion - rows @ _solution(rows.T @ rows, rows.T @ motion))
 
 
 def _slow(record: Record) -> Array:
-    """Return slow motions (n, P) that no voltage explains: drifts since the start, a level of each span of cycles."""
+    """Return slow motions (n, P) that no voltage explains: drifts since the start, and a level for each time span."""
     since = (record.time - record.time[0]) / (record.time[-1] - record.time[0])
     logarithmic = np.log1p(since / _LOGARITHM) / np.log1p(1 / _LOGARITHM)
     cycles = sum(len(record.axis(j).cycles()) for j in range(len(record.axes)))
@@ -331,13 +331,13 @@ def _slow(record: Record) -> Array:
 
 
 def refuse_still(records: Sequence[Record]) -> None:
-    """Raise `RecordError` if the voltage of an axis moves in none of the records."""
+    """Raise `RecordError` if the voltage of an axis is constant in all records."""
     for j, name in enumerate(records[0].axes):
         if all(np.ptp(record.voltage[:, j]) == 0 for record in records):
             held = records[0].voltage[0, j]
             raise RecordError(
-                f"axis {name}: its voltage is constant, {held:.6g} V, need one that moves: record all axes moving, one "
-                "after the other or together: dehyst excite stage"
+                f"axis {name}: its voltage is constant, {held:.6g} V, need one that moves; move all axes in the "
+                "record, one after the other or together: dehyst excite stage"
             )
 
 
@@ -348,7 +348,7 @@ def _refuse_equal(records: Sequence[Record]) -> None:
         pairs = [record.displacement[:, [i, j]] for record in records]
         if all(np.ptp(pair[:, 0] - pair[:, 1]) <= _ROUNDING * np.ptp(pair, axis=0).max() for pair in pairs):
             raise RecordError(
-                f"axes {names[i]} and {names[j]}: their displacements are the same but for a constant; check which "
+                f"axes {names[i]} and {names[j]}: their displacements differ by a constant only; check which "
                 "column is read as which axis: --columns"
             )
 
@@ -359,7 +359,7 @@ def _refuse_inseparable(names: Sequence[str], shares: Array) -> None:
         if share < SEPARATE:
             others = ", ".join(other for other in names if other != name)
             raise IdentifyError(
-                f"axis {name}: its voltage moves together with those of {others} at all times ({digits(100 * share)} % "
-                "of its motion is its own), so that their displacements cannot be distinguished; record the axes one "
+                f"axis {name}: its voltage always moves together with the voltage of {others} ({digits(100 * share)} % "
+                "of its motion is separate), so that their displacements cannot be distinguished; record the axes one "
                 "after the other, or together with different periods: dehyst excite stage"
             )

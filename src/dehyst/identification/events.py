@@ -1,4 +1,4 @@
-"""Records that know their displacement at events only: what lies between is filled, and filled anew by a model."""
+"""Records with displacements at events only: interpolation between events, first simple, then by a model."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from dehyst.records import Record, interpolate, noise_span, reversals, rms, thin
 if TYPE_CHECKING:
     from dehyst.identification.fit import Fit
 
-# A smaller turn, as a share of the voltage's range, is passed over. A fill that a model would move by an RMS of less of
-# the stroke stays: a lag, which the fill does not know, moves it by more.
+# Least turn, as a share of the voltage's range. If a model changes the filled displacements by a smaller RMS, as a
+# share of the stroke, they stay; a lag, which the first fill does not know, changes them by more.
 _TURN, _STILL = 5e-3, 2e-3
-# Elements of a rough model, and their ridge.
+# Number of elements of a rough model, and their ridge.
 _ELEMENTS, _RIDGE = 12, 1e-3
 
 
 def filled(record: Record) -> Record:
     """Return a record whose displacement between events is interpolated over the voltage, from turn to turn.
 
-    A branch leads through its events, monotone where these are, from one turn to the next. The displacement at a turn
-    is that of a rough model of all events, plus its misfit at those beside it. A record without `measured` is returned
-    as it is.
+    From turn to turn, a branch passes through its events, and is monotone where they are. The displacement at a turn
+    comes from a rough model of all events, corrected by its errors at neighbouring events. A record without `measured`
+    is returned unchanged.
     """
     known, v, y = record.measured, record.voltage, record.displacement
     if known is None or np.count_nonzero(known) < 2:
@@ -41,7 +41,7 @@ def filled(record: Record) -> Record:
     levels = np.where(known, y, _rough(path, known, turns, y))
     new = levels.copy()
     for a, b, _ in branches:
-        # No event lies beyond the turn after it.
+        # The turns of a branch are its extremes: no event lies beyond them.
         own, up = np.flatnonzero(known[a:b]), np.sign(v[b - 1] - v[a])
         for turn, side in ((a, -up), (b - 1, up)):
             if own.size and not known[turn]:
@@ -53,10 +53,10 @@ def filled(record: Record) -> Record:
 
 
 def refilled(record: Record, time: Array, simulated: Array) -> Record:
-    """Return a record whose displacement between events is a simulation plus its misfit there, linear in time.
+    """Return a record whose displacement between events is a simulation, corrected by its errors at the events.
 
-    `time`, `simulated` (n,) [s], [m]: the simulation, which may have another zero. Before it, after it and in its gaps
-    the fill stays.
+    The correction is linear in time between events. `time`, `simulated` (n,) [s], [m]: the simulation, which may have
+    another zero. The record does not change before, after, and in gaps of the simulation.
     """
     known, when = record.measured, record.time
     if known is None:
@@ -77,10 +77,10 @@ def identified(
     identify: Callable[[list[Record], list[Record]], Fit],
     rounds: int = 2,
 ) -> Fit:
-    """Return the fit of records; those of events are filled first, then by the fit before until little moves.
+    """Return the fit of records; records of events are filled, then refilled by each fit until they hardly change.
 
-    `held_out`: records to validate. `identify`: fits records, whose turns of the voltage count as events, too; its
-    first traces are those of the records, in order. `rounds`: most fits after the first.
+    `held_out`: records to validate. `identify`: function that fits records; it gets the turns of the voltage as further
+    events, and its first traces belong to the records, in order. `rounds`: largest number of fits after the first.
     """
     now, others = ([filled(thinned(record)) for record in some] for some in (records, held_out))
     fit = identify([_with_turns(record) for record in now], others)
@@ -95,7 +95,7 @@ def identified(
 
 
 def _with_turns(record: Record) -> Record:
-    """Return a record whose displacements at turns and ends count: without them nothing is known beyond the events."""
+    """Return a record whose filled displacements at turns and ends count like events: no event may lie near them."""
     if record.measured is None:
         return record
     known = record.measured.copy()
@@ -104,7 +104,7 @@ def _with_turns(record: Record) -> Record:
 
 
 def _rising(voltage: Array) -> Array:
-    """Return the voltages of a branch (n,), negative of a falling one, as rising and without noise, also in holds."""
+    """Return the voltages of a branch (n,), negated if it falls: strictly rising, without noise, also in holds."""
     from scipy.optimize import isotonic_regression
 
     smooth = np.asarray(isotonic_regression(voltage if voltage[-1] >= voltage[0] else -voltage).x)
@@ -112,7 +112,7 @@ def _rising(voltage: Array) -> Array:
 
 
 def _rough(path: Array, known: Mask, turns: NDArray[np.intp], displacement: Array) -> Array:
-    """Return displacements (n,) [m] that are right at turns: of elements that the voltage drives, plus the misfit."""
+    """Return displacements (n,) [m], exact at turns only: a model of elements, corrected by its errors at events."""
     at = np.union1d(np.flatnonzero(known), turns)
     v, own = path[at], known[at]
     half = 0.5 * float(np.ptp(v))
@@ -121,7 +121,7 @@ def _rough(path: Array, known: Mask, turns: NDArray[np.intp], displacement: Arra
     slips = slip_elongations(rho, np.full(rho.size, v[0]), np.ascontiguousarray(v))[0] / half
     columns = np.hstack([np.vander(x, 4), slips, slips * x[:, None]])
     y = displacement[at[own]]
-    # A straight line is free.
+    # The coefficients of a straight line have no ridge.
     ridge = np.delete(np.eye(columns.shape[1]), [2, 3], axis=0) * (_RIDGE * y.size) ** 0.5
     model = columns @ np.linalg.lstsq(np.vstack([columns[own], ridge]), np.append(y, np.zeros(len(ridge))))[0]
     travel = np.append(0, np.cumsum(np.abs(np.diff(v))))

@@ -18,11 +18,11 @@ from dehyst.identification.rules import RULES
 from dehyst.model import Outcome, Promise, Validity, branches_of, distances, paces_of, temperature_range
 from dehyst.records import NOISE_PEAK, Record, rms
 
-# The subtracted noise is known to this part.
+# Relative error of the subtracted noise.
 _NOISE_KNOWN = 0.1
 # Held-out branches may go beyond the voltages of the others by this part of the range.
 _BEYOND = 0.02
-# Branches below this part of the fastest pace are slow; how many slow and fast ones show how an error grows.
+# Branches below this part of the fastest pace are slow; least numbers of slow and fast branches for a growth of error.
 _SLOW, _FEW = 1 / 3, 6
 
 
@@ -38,15 +38,15 @@ class Readiness(Enum):
 class Expectation:
     """The error to expect on any path within the recorded voltages, and the verdict.
 
-    A model is ready if the expected largest error is within the goal, and nothing else speaks against it. It is not
-    usable if that error exceeds 5 % of the stroke. Otherwise it is usable.
+    A model is ready if the expected largest error is within the goal, and `reasons` is empty. It is not usable if that
+    error exceeds 5 % of the stroke. Otherwise it is usable.
 
     Attributes
     ----------
     promise : Promise
         Promised error of any path like the records.
     measured : float
-        Measured RMS error of the records from which the promise follows [m].
+        Measured RMS error of the records that determine the promise [m].
     noise : float
         Standard deviation of the sensor [m].
     goal : float
@@ -54,7 +54,7 @@ class Expectation:
     basis : str
         "validation records" or parts of the training records, in words.
     reasons : tuple of str
-        Phrases on why the model is not ready, besides its error.
+        Reasons why the model is not ready, other than its error.
     """
 
     promise: Promise
@@ -66,12 +66,12 @@ class Expectation:
 
     @property
     def rms(self) -> float:
-        """RMS error that is promised [m]."""
+        """Promised RMS error [m]."""
         return self.promise.rms
 
     @property
     def largest(self) -> float:
-        """Largest error that is promised [m]."""
+        """Promised largest error [m]."""
         return self.promise.largest
 
     @property
@@ -96,7 +96,7 @@ class Expectation:
 
     @property
     def why_not_ready(self) -> tuple[str, ...]:
-        """Phrases on all reasons why the model is not ready, including its error."""
+        """All reasons why the model is not ready, including its error."""
         return ("the largest error is above the goal",) * (self.largest_percent > self.goal) + self.reasons
 
     @property
@@ -119,7 +119,7 @@ class Expectation:
 
     @property
     def reservations(self) -> tuple[str, ...]:
-        """Sentences on why the model is not ready, besides its error."""
+        """Sentences with the reasons why the model is not ready, other than its error."""
         return tuple(f"{reason[0].upper()}{reason[1:]}." for reason in self.reasons)
 
     @property
@@ -142,8 +142,8 @@ class HeldOutErrors:
     """Errors on held-out parts of the records; 0 if not computed.
 
     `in_time`: RMS error of parts of the training records that were held out in turn [m]. `disagreement`: RMS distance
-    of other structures that explain the records as well, on a random path [m]. `noise`: standard deviation of the
-    sensor in the samples that were compared [m]. `new`: see `Validity`.
+    on a random path from models with other structures that explain the records as well [m]. `noise`: standard deviation
+    of the sensor in the compared samples [m]. `new`: see `Validity`.
     """
 
     in_time: float = 0.0
@@ -165,8 +165,8 @@ def validity_of(
 ) -> Validity:
     """Return the domain of validity of a model from its records.
 
-    `records`, `errors`, `remaining`, `traces`: one each, training first. `noise`: standard deviation of the sensor [m].
-    `validated`: whether validation records, if there are any, replace held-out parts. `lags`: entries of `Validity`.
+    `records`, `errors`, `remaining`, `traces`: training records first. `noise`: standard deviation of the sensor [m].
+    `validated`: whether validation records, if given, replace held-out parts. `lags`: entries of `Validity`.
     """
     training, validation = ([q for q, each in enumerate(errors) if each.role == r] for r in ("training", "validation"))
     new, judged = held_out.new, training
@@ -178,11 +178,11 @@ def validity_of(
         other = new_branches(*(np.concatenate([pairs[q] for q in part]) for part in (validation, training)))
         new = max(new[0], other[0]), max(new[1], other[1])
     vibration = max(remaining[q].vibration_amplitude for q in judged)
-    # A path does not have the sensor's noise, as far as that is known.
+    # The error of a path has no sensor noise: the known part of the noise is subtracted.
     missed = max(_less(errors[q].settled_rms, remaining[q].sensed) for q in judged)
     if judged is training:
         missed = max(missed, _less(held_out.in_time, float(np.hypot(held_out.noise, vibration / 2**0.5))))
-    # The growth with the pace counts by the pace of a path.
+    # The growth with the pace is left out here: the promise adds it by the pace of the path.
     grown, share = growth([traces[q] for q in judged], span)
     missed *= (1 - share) ** 0.5
     largest = max(errors[q].settled_largest for q in judged) - NOISE_PEAK * noise - vibration
@@ -202,7 +202,7 @@ def validity_of(
 
 
 def growth(traces: Sequence[Trace], span: float) -> tuple[float, float]:
-    """Return how far the RMS error [m] grows from slow to the fastest branches, and its share of the mean square.
+    """Return the growth of the RMS error [m] from slow to the fastest branches, and its share of the mean square.
 
     `span`: range of the voltages [V].
     """
@@ -223,7 +223,7 @@ def growth(traces: Sequence[Trace], span: float) -> tuple[float, float]:
 def new_branches(held_out: Array, others: Array) -> tuple[float, float]:
     """Return the distances of held-out rises, and of held-out falls, from others: `Validity.new`.
 
-    Both are branches (k, 2) [V]. Held-out ones beyond the others' voltages do not count.
+    Both are branches (k, 2) [V]. Held-out branches beyond the voltages of the others do not count.
     """
     if not len(others):
         return 0.0, 0.0
@@ -246,10 +246,10 @@ def expectation(
     """Return the errors to expect on a path that turns anywhere within the recorded voltages, at recorded speeds.
 
     `errors`, `checks`: as in `Fit`. `validity`: see `validity_of`. `noise`: standard deviation of the sensor [m].
-    `goal`: [% of the stroke]. `caveats`: more reasons for care, in words.
+    `goal`: allowed largest error [% of the stroke]. `caveats`: further reasons for care, in words.
     """
     training, validation = ([error for error in errors if error.role == role] for role in ("training", "validation"))
-    # A model that misses its own records by too much is of no use, however well it predicts others.
+    # A model that misses its training records by too much is not usable, even if it predicts validation records.
     by_others = bool(validation) and outcome is not Outcome.INACCURATE
     judged, basis = (
         (validation, "validation records") if by_others else (training, "parts of the records held out in turn")
@@ -271,5 +271,5 @@ def expectation(
 
 
 def _less(error: float, noise: float) -> float:
-    """Return what is left of an RMS error without an independent part of it."""
+    """Return an RMS error without an independent part of it."""
     return float(max(error**2 - noise**2, 0.0) ** 0.5)

@@ -28,7 +28,7 @@ class Fit(Plotted):
     actuator : Actuator
     outcome : Outcome
     promise : Expectation
-        Error to expect of a path, and the verdict.
+        Expected error of a path, and the verdict.
     errors : tuple of RecordErrors
         One for each record, training first, then validation.
     repairs : tuple of str
@@ -67,23 +67,23 @@ class Fit(Plotted):
         return escaped(self.promise.sentence)
 
     def summary(self, full: bool = False) -> str:
-        """Return what `dehyst identify` prints: the error to expect and at most three things to know, in lines.
+        """Return the text that `dehyst identify` prints: the expected error and at most three remarks or repairs.
 
-        `full` returns what `--verbose` prints: also errors, structures, parts, repairs and all remarks.
+        With `full` it is the text of `--verbose`: also errors, structures, parts, all repairs and all remarks.
         """
         return "\n".join(escaped(line) for line in (_lines if full else _brief)(self))
 
     @property
     def model(self) -> Actuator:
-        """The actuator, as `StageFit.model` is the stage."""
+        """The actuator; `StageFit.model` is its counterpart for a stage."""
         return self.actuator
 
     def simulate(self, voltage: ArrayLike, **options: Any) -> Motion:
-        """Return the displacement that a voltage (n,) [V] causes, as `Actuator.simulate` with its options."""
+        """Return the displacement that a voltage (n,) [V] causes; `options`: options of `Actuator.simulate`."""
         return self.actuator.simulate(voltage, **options)
 
     def score(self, record: Record) -> RecordErrors:
-        """Return the errors of the model on another record, with a constant, a zero and a drift of its own.
+        """Return the errors of the model on another record; a constant, a zero and a drift are fitted to it.
 
         Raise `RecordError` or `IdentifyError` if the record cannot be used.
         """
@@ -104,18 +104,18 @@ class Fit(Plotted):
 
 
 _HEAD = ("record", "role", "samples", "left out", "largest with noise, % stroke", "RMS, % of stroke", "largest", "RMS")
-# Entries of a list in a summary.
+# Number of entries of a list in a summary.
 _SHOWN = 3
 
 
 def _brief(fit: Fit) -> Iterator[str]:
-    """Yield the error to expect, what it comes from, and at most three things to know."""
+    """Yield the expected error, its origin, and at most three remarks or repairs."""
     verdict = fit.promise
     yield f"{verdict.headline}."
     yield verdict.origin
     yield from (f"{name}: {sentence}" for name, sentence in parts_of(fit.actuator) if name == "Creep")
     ended = [] if fit.outcome.good else [fit.outcome.value]
-    # Remarks name causes, such as the voltage of another axis: of a model that is of no use they come first.
+    # Remarks name causes, such as the voltage of another axis: for a model that is not usable they come first.
     usable = verdict.readiness is not Readiness.NOT_USABLE
     things = verdict.reservations + fit.remarks if usable else fit.remarks + verdict.reservations
     if first := [*ended, *things, *fit.repairs][:_SHOWN]:
@@ -142,7 +142,7 @@ def _lines(fit: Fit) -> Iterator[str]:
             mark = " (chosen)" if trial.structure is not None and trial.structure.as_dict() == chosen else ""
             yield f"  {trial.held_out * 1e9:>7.1f} nm  {trial.words}{mark}"
     parts = (f"  {name + ':':<18}{sentence}" for name, sentence in parts_of(fit.actuator))
-    yield from ("", "The model is made of:", *parts)
+    yield from ("", "Parts of the model:", *parts)
     causes = [cause.sentence(fit.promise.stroke) for cause in fit.remaining]
     lists = ("Repaired or left out", fit.repairs), ("Remaining error", causes), ("Remarks", fit.remarks)
     for title, sentences in lists:

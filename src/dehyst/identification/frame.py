@@ -1,4 +1,4 @@
-"""The training records with what moves them: their paths, programs, and simulations."""
+"""The training records with the numbers of their motion: paths, programs, and simulations."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from dehyst.identification.structure import Structure
 from dehyst.model import Actuator, Dynamics, State
 from dehyst.records import Record, rms
 
-# Parts of the time of a record, of which two at a time are held out.
+# A record is divided into this number of parts in time; two parts at a time are held out.
 _PARTS = 6
 FOLDS = _PARTS // 2
-# Places of the search for a zero, and how far they go, as a part of the stroke.
+# Number of places in the search for a zero, and largest zero, as a part of the stroke.
 _PLACES, _WITHIN = 25, 0.6
-# Least slope of the spring, of the mean slope of the widest loop.
+# Least slope of the spring, as a part of the mean slope of the widest loop.
 SLOPE_FLOOR = 0.2
-# Finite differences of the search for a resonance.
+# Step of finite differences in the search for a resonance.
 _STEP = 1e-3
-# If the last ranges hold less than this part of the samples, those before count too.
+# If the last epochs hold less than this part of the samples, earlier epochs count too.
 _SOON = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Training records, and the motion between them and the path of the hysteresis.
+    """Training records, and the numbers that relate them to the path of the hysteresis.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Frame:
     voltages : (float, float)
         Lowest and highest voltage of all records [V].
     widest : int
-        Record whose last constant is the spring's.
+        Number of the record whose last constant is the constant of the spring.
     stroke : float
         Range of the widest loop as measured [m].
     denoised : bool
@@ -68,7 +68,7 @@ class Frame:
 
     @cached_property
     def rests(self) -> list[list[tuple[float, float]]]:
-        """Begin and end [s] of each rest of the voltage that is as long as the shortest cycle, of each record."""
+        """Begin and end [s] of the rests of the voltage in each record that last as long as the shortest cycle."""
         shortest = min(item.cycle for item in self.training)
         return [[rest for rest in _rests(item.record) if rest[1] - rest[0] >= shortest] for item in self.training]
 
@@ -100,7 +100,7 @@ class Frame:
     def bare(self) -> RowSource:
         """Epochs of all paths, without elements."""
         grid = Structure(elements=2, knots=2).grid((0.0, 1.0), self.voltages)
-        # Without loud noise, which is taken out of the paths.
+        # Loud noise does not count, as the paths are denoised.
         left = [0.0 if disturbs(item.noise, self.stroke) else item.noise for item in self.training]
         noise = [left[q] for q, _, _ in self.paths]
         pieces = [Piece(q, path) for q, _, path in self.paths]
@@ -129,7 +129,7 @@ class Frame:
         names: Sequence[str] = (),
         near: Solution | None = None,
     ) -> Program:
-        """Return the program of about `most` rows, with the parts of these names; `near`: a solution nearby."""
+        """Return the program of about `most` rows, with the parts in `names`; `near`: solution of a similar program."""
         rows = source.thinned(most)
         floor = SLOPE_FLOOR * float(np.ptp(self.voltages)) / (self.span[1] - self.span[0])
         parts = [] if near is None else Parts(self.motion, self.training, rows).of(names)
@@ -152,9 +152,9 @@ class Frame:
         )
 
     def folds(self, program: Program) -> NDArray[np.intp]:
-        """Return the fold of each row (n,): sixths of the time of its record, two in each, and of a long rest likewise.
+        """Return the fold of each row (n,): each fold holds two of six parts of the time of each record.
 
-        Creep shows in rests: the error of each fold must see a part of each.
+        Each long rest is divided likewise: creep shows in rests, and each fold must hold a part of every rest.
         """
         fold = np.zeros(len(program.rows), dtype=np.intp)
         for q, (item, rests) in enumerate(zip(self.training, self.rests, strict=True)):
@@ -170,7 +170,7 @@ class Frame:
     def held_out_error(self, source: RowSource, program: Program, whole: Solution) -> float:
         """Return the error [m] of the displacement in held-out parts of the time, simulated from the voltages alone.
 
-        It is the median RMS error of the parts, because a part with the only loops of their size is not representative.
+        It is the median RMS error of the parts: a part that holds the only loops of some size is not representative.
         """
         errors, rows, creep = list[float](), program.rows, self.motion.creep
         for k in range(FOLDS):
@@ -193,14 +193,14 @@ class Frame:
     def residual(
         self, source: RowSource, program: Program, found: Solution, whole: Solution, without: int | None = None
     ) -> Array:
-        """Return measured less simulated displacement [m] of each row (n,); NaN where it does not count.
+        """Return measured minus simulated displacement [m] of each row (n,); NaN where it does not count.
 
-        `found`: the solution `without` a fold; `whole`: that of all rows.
+        `found`: the solution `without` a fold; `whole`: the solution of all rows.
         """
         rows, out = program.rows, np.zeros(len(program.rows), dtype=bool)
         if without is not None:
             out = program.fold == without
-        # An epoch that is out as a whole has no constant but that of all rows.
+        # An epoch that is left out as a whole takes its constant from the solution of all rows.
         lost = set(rows.epoch[out].tolist()) - set(rows.epoch[~out].tolist())
         offsets = {e: whole.offsets[e] if e in lost else offset for e, offset in found.offsets.items()}
         actuator = self.actuator(program, replace(found, offsets=offsets))
@@ -212,7 +212,7 @@ class Frame:
                 time, missed = self.missed(place.piece, place.epoch, actuator, state, offsets[place.number] - base)
                 left[own] = np.interp(rows.time[own], time, missed)
         for part in program.parts:
-            # The numbers of a fold move the path, too; a resonance is in the simulation.
+            # The numbers found for a fold also move the path; the simulation already includes a resonance.
             if part.name != "inertia":
                 moved = part.columns @ (found.numbers[part.name] - part.value)
                 left += moved / program.scale if part.volts else moved
@@ -249,9 +249,9 @@ class Frame:
     def missed(
         self, place: int, epoch: Epoch, actuator: Actuator, state: State, offset: float, late: Array | None = None
     ) -> tuple[Array, Array]:
-        """Return times [s], and measured less simulated displacement before creep [m], of one epoch of a piece.
+        """Return times [s], and measured minus simulated displacement before creep [m], of one epoch of a piece.
 
-        `late`: voltages of the piece that act (n,) [V], by default those of its path.
+        `late`: acting voltages of the piece (n,) [V], by default the voltages of its path.
         """
         (q, k, path), own = self.paths[place], slice(epoch.start, epoch.stop)
         model = replace(actuator._before_creep, lag=0.0, thermal=None)
@@ -263,9 +263,9 @@ class Frame:
 
 
 def tuned(frame: Frame, source: RowSource, program: Program, found: Solution) -> Frame:
-    """Return the records with the frequency, damping and delay of least simulation error; as they are without one.
+    """Return the records with the frequency, damping and delay of least simulation error; unchanged without resonance.
 
-    Derivatives of a measured displacement show a resonance less exactly than a simulation does.
+    A simulation determines a resonance better than derivatives of a measured displacement do.
     """
     from scipy.optimize import least_squares
 
@@ -278,7 +278,7 @@ def tuned(frame: Frame, source: RowSource, program: Program, found: Solution) ->
     states = [frame.state(source, place.piece, place.epoch, actuator) for place in epochs]
 
     def numbers(x: Array) -> tuple[float, float, float]:
-        # Numbers near 1, because finite differences are relative to them.
+        # All numbers are near 1, because the finite differences are relative.
         frequency, damping, delay = (x - 1).tolist()
         return (
             start.frequency * exp(frequency),
@@ -299,12 +299,12 @@ def tuned(frame: Frame, source: RowSource, program: Program, found: Solution) ->
             time, missed = frame.missed(place.piece, place.epoch, model, state, offset, late[place.piece])
             at_rows[own] = np.interp(rows.time[own], time, missed)
             played.append((own, time, missed))
-        # The part that the other coefficients would follow does not belong to the resonance.
+        # The part of the error that the other coefficients can follow does not belong to the resonance.
         followed = columns @ (follow @ at_rows)
         left = [missed - np.interp(time, rows.time[own], followed[own]) for own, time, missed in played]
         return np.concatenate([part - part.mean() for part in left]) / frame.stroke
 
-    # A delay by the resonance is no lead: only a lead that was there before stays.
+    # The search for a resonance must not make a lead: only an earlier lead is allowed.
     lead = max(motion.delay, 0.0)
     least = 1 - np.array([np.inf, start.damping, lead * start.omega])
     first = np.maximum(np.ones(3), least + 2 * _STEP)
@@ -322,7 +322,7 @@ def tuned(frame: Frame, source: RowSource, program: Program, found: Solution) ->
 def zero_of(cost: Callable[[float], float], stroke: float, exact: float) -> float:
     """Return the zero [m] of a sensor with the least cost [m], to a part `exact` of the stroke.
 
-    It is 0 unless another one costs much less.
+    It is 0 unless another zero has a much lower cost.
     """
     from scipy.optimize import minimize_scalar
 
@@ -336,12 +336,12 @@ def zero_of(cost: Callable[[float], float], stroke: float, exact: float) -> floa
 
 
 def part_of(place: Array) -> NDArray[np.intp]:
-    """Return the part of the time in which places (n,), 0 to 1 in a record, are."""
+    """Return the number of the time part of places (n,), which are 0 to 1 in a record."""
     return np.asarray(np.clip((_PARTS * place).astype(np.intp), 0, _PARTS - 1))
 
 
 def without_offset(actuator: Actuator, voltage: Array, offset: float) -> Array:
-    """Return voltages (n,) [V] less an offset, which a transformer's curve does not bend."""
+    """Return voltages (n,) [V] minus an offset; with a transformer, the offset applies to tau(v)."""
     tau = actuator.transformer
     if tau is None:
         return voltage - offset
@@ -349,7 +349,7 @@ def without_offset(actuator: Actuator, voltage: Array, offset: float) -> Array:
 
 
 def _rests(record: Record) -> list[tuple[float, float]]:
-    """Return begin and end [s] of each rest of a voltage, within a step that counts as coarse."""
+    """Return begin and end [s] of each rest of a voltage; smaller changes than a coarse step are rest."""
     levels = np.round(record.voltage / (RULES.coarse_voltage * np.ptp(record.voltage)))
     begins = np.flatnonzero(np.diff(levels, prepend=np.inf))
     ends = np.append(begins[1:], levels.size) - 1

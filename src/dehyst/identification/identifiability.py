@@ -14,9 +14,9 @@ from dehyst.identification.structure import Grid, Structure
 from dehyst.model import parts_in_segments
 from dehyst.records import Record, turning_points
 
-# Most rows of the regression; number of elements with which turning points are probed.
+# Largest number of rows of the regression; number of elements that test turning points.
 _MOST_ROWS, _PROBES = 20_000, 10
-# Smaller singular values [V/V] are rounding, also if all are.
+# Singular values [V/V] below this are rounding errors.
 _ROUNDING = 1e-9
 
 
@@ -24,9 +24,9 @@ _ROUNDING = 1e-9
 class Identifiability:
     """How many combinations of the stiffnesses records determine, with any spring and constants.
 
-    `values` (m,): singular values of the columns of the elements that slide in some record, all else projected out,
-    largest first [V/V]: the RMS voltage of a change of 1 V of breakaway voltages in this direction, for any spring.
-    `subject`: what they belong to, as text: ten Maxwell-slip elements instead of those of a model with more parts.
+    `values` (m,): singular values of the columns of the elements that slide in some record, without the parts that
+    spring and constants explain, largest first [V/V]. A value is the RMS voltage due to a change of the breakaway
+    voltages by 1 V in its direction. `subject`: words for the elements, or for ten plain ones instead of a wide model.
     """
 
     values: Array
@@ -47,7 +47,7 @@ class Identifiability:
 def identifiability(records: list[Record], grid: Grid) -> Identifiability:
     """Compute the directions of the stiffnesses of Maxwell-slip elements that the records determine.
 
-    The rank is that of straight lines between the turning points: noise would raise that of measured rows.
+    The rank is computed with straight lines between the turning points: noise would raise the rank of measured rows.
 
     `records`: pieces without gaps, on a common displacement axis.
     """
@@ -59,7 +59,7 @@ def identifiability(records: list[Record], grid: Grid) -> Identifiability:
     for q, places in enumerate(turns):
         if len(places) > 2:
             branches = [np.linspace(a, b, samples + 1)[1:] for a, b in pairwise(places)]
-            # The voltage equals the displacement.
+            # The voltages have no effect here; the displacement stands in for them.
             path = np.concatenate([places[:1], *branches])
             outlines.append((q, Record(np.arange(float(path.size)), path, path, "outline")))
     source = RowSource.of(outlines, grid, [0.0] * len(outlines))
@@ -83,7 +83,7 @@ def probed(records: list[Record], span: tuple[float, float]) -> Identifiability:
 
 
 def _turns(record: Record, spacing: float, ends: Array) -> list[float]:
-    """Return turning points [m], those within `spacing` of each other or of `ends` merged, and three equal cycles."""
+    """Return turning points [m]; points within `spacing` of each other or of `ends`, and equal cycles, are merged."""
     y = record.displacement
     points = y[[0, *turning_points(y, max(spacing, 8 * record.noise)).tolist(), len(y) - 1]]
     left, places = np.argsort(points), points.copy()

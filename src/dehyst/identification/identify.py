@@ -33,7 +33,7 @@ from dehyst.identification.structure import Structure
 from dehyst.model import Actuator, Identification, Outcome, promised, with_identification
 from dehyst.records import Record, doubts, recorded_slew_rate, resolution, rms
 
-# Voltages are played without an offset above this part of their range; a record is apart if its error is this multiple.
+# Least offset of a record, as a part of the voltage range, and least ratio of errors without and with it, that count.
 _OFFSET, _TIMES = 0.02, 3.0
 PLAIN = Structure(elements=20, knots=21, smoothing=0.0)
 
@@ -52,33 +52,33 @@ def identify(
     progress: Progress | None = None,
     time_limit: float | Deadline | None = None,
 ) -> Fit:
-    """Identify an actuator from records of major and minor loops; none needs to start relaxed.
+    """Identify an actuator from records of major and minor loops, which may start in any state.
 
-    Return a `Fit`, for records of several axes a `StageFit`: each axis by itself, and the coupling matrix.
+    Return a `Fit`; for records of several axes, a `StageFit` with each axis and the coupling matrix.
 
     Parameters
     ----------
     records : Record or sequence of Record
         Training records with at least one loop in total; minor loops improve the prediction of other motions.
     validate : Record or sequence of Record, optional
-        Records that are only simulated. Each gets its own constant (and zero and drift), as training records do.
+        Records that are only simulated. A constant (and zero and drift) is fitted to each, as to training records.
     delay : float, optional
         Time by which the displacement lags the voltage [s]; default: estimated from the training records.
     sensor_lag : float, optional
-        Time constant of the sensor's own filter [s], a low-pass of first order, 0 if it has none; default: unknown.
-        Any other lag is then the actuator's.
+        Time constant [s] of the filter in the sensor, a low-pass of first order; 0 without a filter; default: unknown.
+        If it is given, any other lag belongs to the actuator.
     lag_of : {"actuator", "sensor"}, optional
-        Who causes the lag that the records show; default: not known, and the promise has two
-        numbers. A path that an actuator delays is planned earlier; a path that only a sensor sees late is not.
+        Cause of the lag that the records show; default: not known, and the promise has two numbers. The voltage of a
+        planned path compensates a lag of the actuator, but not a lag of the sensor.
     shared_zero : bool, optional
-        State that the sensor kept its zero in all records; default: the zero of each record is searched for.
+        True if the sensor kept its zero in all records; default: the zero of each record is estimated.
     drift : bool, optional
-        Whether a record may have a drift that is logarithmic in the time since its start, which is then removed.
+        Whether to remove a drift from each record that is logarithmic in the time since its start.
     structure : {"auto", "maxwell_slip"} or Structure, optional
-        Static parts of the model. "auto": a dictionary of graded and smooth elements, its smoothing chosen by the error
-        of held-out time. "maxwell_slip": slip elements and a spring, as in Yeh's paper. Or a given structure.
+        Static parts of the model. "auto": a dictionary of graded and smooth elements; the held-out error selects the
+        smoothing. "maxwell_slip": slip elements and a spring, as in Yeh's paper. Or a given structure.
     goal : float, optional
-        Largest error [% of the stroke] with which the model is ready for use: see `Expectation`.
+        Largest allowed error [% of the stroke] of a model that is ready for use: see `Expectation`.
     progress : callable, optional
         Called with a short text at each step.
     time_limit : float or Deadline, optional
@@ -125,7 +125,7 @@ class _Run:
     lead: float = 0.0
 
     def prepared(self, *, ringing: bool) -> None:
-        """Prepare all records; samples in which the displacement rings drive the elements or not."""
+        """Prepare all records; `ringing`: whether samples in which the displacement rings drive the elements."""
         most = sum(map(len, self.records)) / ENOUGH
 
         def ready(record: Record) -> Prepared:
@@ -137,7 +137,7 @@ class _Run:
         self.widest = int(np.argmax([high - low for low, high in spans]))
         self.stroke = spans[self.widest][1] - spans[self.widest][0]
         ranges = np.array([piece.voltage_range for item in self.training for piece in item.pieces])
-        # Voltages that were used: what glitches show, or what a gap cuts off, was not.
+        # Only the used voltages count, without glitches and without samples that a gap cuts off.
         self.limits = float(ranges[:, 0].min()), float(ranges[:, 1].max())
         motion = replace(Motion.none(len(self.training)), delay=self.settings.delay or 0.0)
         items = [item.reduced for item in self.training]
@@ -145,13 +145,13 @@ class _Run:
         self.noise = max(item.noise for item in self.items)
 
     def fit(self) -> Fit:
-        """Identify an actuator, and judge it."""
+        """Identify an actuator, and compute its expected error."""
         settings = self.settings
         self.report("checking the records")
         self.prepared(ringing=False)
         if any(item.record.set_aside for item in self.training):
             self.remarks.append(messages.STEPS)
-            # The samples after the ringing show whether the hysteresis follows it.
+            # The error in the samples after the ringing shows whether the hysteresis follows the ringing.
             still = search.fitted(self.frame, PLAIN, search.FEW).rms
             self.prepared(ringing=True)
             if search.fitted(self.frame, PLAIN, search.FEW).rms > still:
@@ -160,7 +160,7 @@ class _Run:
         self.temperatures, self.left_out = temperatures_of(self.records)
         if (found := self.temperatures) is not None:
             motion = replace(self.frame.motion, reference=found.reference, lowest=self.frame.span[0])
-            # A zero that was moved explains a part of the gain: the gain comes first.
+            # The gain is fitted first: a moved zero could explain a part of it.
             step = partial(search.warmed, replace(self.frame, motion=motion))
             self.frame = self.deadline.attempt(step, self.frame, "the search for an effect of temperature")
         if len(self.training) > 1 and not settings.shared_zero:
@@ -170,7 +170,7 @@ class _Run:
         names = self._moving(plain=plain)
         made = self._static(names, plain=plain)
         if (found := self.temperatures) is not None and made.frame.motion.thermal is None:
-            cause = "the search ended before it" if self.deadline.cut else "held-out time does not show its effect"
+            cause = "the search ended before it" if self.deadline.cut else "the held-out error does not show its effect"
             self.left_out = f"{found.left_out}: {cause}"
         return self.finish(made)
 
@@ -194,7 +194,7 @@ class _Run:
             more=not plain,
         )
         nothing: tuple[Frame, tuple[str, ...], list[Trial]] = search.cold(self.frame), (), []
-        self.frame, names, trials = self.deadline.attempt(step, nothing, "the search for what moves in time")
+        self.frame, names, trials = self.deadline.attempt(step, nothing, "the search for delay, creep and resonance")
         self.trials += trials
         steady = self.frame.training[0].steady
         self.training, self.held_out = (
@@ -206,7 +206,7 @@ class _Run:
         return names
 
     def _lead(self, seconds: float) -> None:
-        """Move the voltages of all records, as the displacement leads by a part of a sample: the delay becomes 0."""
+        """Move the voltages of all records earlier, as the displacement leads them; set the delay to 0."""
         self.records, self.others = ([earlier(item, seconds) for item in part] for part in (self.records, self.others))
         self.lead, motion = seconds, replace(self.frame.motion, delay=0.0)
         self.prepared(ringing=self.ringing)
@@ -214,7 +214,7 @@ class _Run:
         self.remarks.append(messages.LEADS.format(seconds=1e3 * seconds))
 
     def _static(self, names: tuple[str, ...], *, plain: bool) -> Fitted:
-        """Solve the program of the structure, chosen by held-out time."""
+        """Solve the program of the structure with the least held-out error."""
         given, self.determined = self.settings.structure, True
         structures: Sequence[Structure] = [PLAIN] if plain else [given] if isinstance(given, Structure) else search.WIDE
         if given == "auto":
@@ -263,9 +263,9 @@ class _Run:
         }
 
     def simulated(self, actuator: Actuator, drift: Any) -> tuple[list[RecordErrors], list[Trace], list[RecordErrors]]:
-        """Simulate records whole, the training records first; return errors, traces, and the errors that are judged.
+        """Simulate whole records, the training records first; return errors, traces, and errors for the verdict.
 
-        Of a record that needs an offset of its voltages, as one of another stage does, the error without it is judged.
+        If a record needs an offset of its voltages, like a record of another stage, the error without it counts.
         """
         errors, traces, judged = [], [], []
         drifts = self.settings.drift and bool(np.any(drift))
@@ -290,7 +290,7 @@ class _Run:
         return errors, traces, judged
 
     def _warms(self, made: Fitted) -> str:
-        """Return the sentence on temperature."""
+        """Return the sentence about the effect of temperature."""
         assert self.temperatures is not None
         names = [name for name in ("thermal", "expansion") if name in made.names]
         by_words = {trial.words: trial.held_out for trial in self.trials}
@@ -298,7 +298,7 @@ class _Run:
         return self.temperatures.sentence(made.frame.motion, {name: made.spread(name) for name in names}, better)
 
     def caveats(self, actuator: Actuator, missed: float) -> tuple[list[str], bool]:
-        """Return reasons for care, and whether the records leave open who lags."""
+        """Return reasons for care, and whether the records leave open if actuator or sensor lags."""
         caveats = [self.left_out] if self.left_out else []
         step = max(resolution(item.record.voltage)[1] for item in self.training)
         if step > RULES.coarse_voltage:
@@ -317,7 +317,7 @@ class _Run:
         return Outcome.INACCURATE if "training" in missed else Outcome.VALIDATION_MISSED
 
     def finish(self, made: Fitted) -> Fit:
-        """Simulate all records whole, and judge the actuator."""
+        """Simulate all whole records, and compute the expected error of the actuator."""
         self.report("simulating the records")
         self.frame = made.frame
         actuator = self.named(made.actuator, made.structure)
@@ -356,14 +356,14 @@ class _Run:
         )
 
     def held_out_errors(self, made: Fitted, actuator: Actuator) -> HeldOutErrors:
-        """Return what held-out parts of the training records show."""
+        """Return the errors on held-out parts of the training records."""
         disagreement = search.disagreement(actuator, self.alternatives, made, self.frame)
         noise = max(item.noise for item in self.frame.training)
         return HeldOutErrors(made.held_out, disagreement, noise, search.new_in_time(self.frame))
 
     def remark(self, made: Fitted, actuator: Actuator, trained: Sequence[RecordErrors]) -> None:
-        """Add the remarks on a judged actuator, those that matter most first."""
-        words = f"{made.structure.words}, which miss held-out time by {percent(made.held_out, self.stroke)}"
+        """Add the remarks on an actuator, the most important first."""
+        words = f"{made.structure.words}, with a held-out error of {percent(made.held_out, self.stroke)}"
         first = self.deadline.remarks(words) + messages.of_moved_zeros(trained)
         if self.temperatures is not None and made.frame.motion.thermal is not None:
             first.append(self._warms(made))
@@ -376,7 +376,7 @@ class _Run:
             self.remarks += [f"{item.name}: {gap.sentence}" for gap in gaps if gap.what == "voltages"]
 
     def repairs(self, actuator: Actuator, errors: Sequence[RecordErrors]) -> tuple[str, ...]:
-        """Return sentences on what was left out, shifted or removed."""
+        """Return sentences about data that were left out, shifted or removed."""
         sample, given = self.training[self.widest].record.sample_time, self.settings.delay is not None
         delay = actuator.delay + actuator.lag
         moved = messages.repaired(errors, delay, sample, given=given, low_pass=actuator.lag)

@@ -1,4 +1,4 @@
-"""Messages of an identification: what the records leave open, and what was repaired, in sentences."""
+"""Messages of an identification: sentences about open questions and repairs of the records."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ from dehyst.identification.regressors import epochs
 from dehyst.identification.results import FEWEST_DECADES, RecordErrors
 from dehyst.model import excite_command
 
-# The outer part of the limits' range at each end, of which samples are rare if fewer than this part of one passage
-# through it.
+# Part of the limits' range at each end; samples in it are rare if they are fewer than this part of one passage.
 _END, _LEAST_PASSAGE = 0.1, 0.25
-# A zero that is moved by less, and a smaller drift, as parts of the stroke, are not remarked.
+# Least moved zero and least drift, as parts of the stroke, that get a remark.
 _SMALLEST_ZERO, _SMALLEST_DRIFT = 0.1, 2e-4
 
 STEPS = (
@@ -24,8 +23,8 @@ STEPS = (
 )
 # `seconds`: the lead [ms].
 LEADS = (
-    "The displacement leads the voltage by {seconds:.3g} ms, half a sample: it is read at the end of a step of a "
-    "converter that holds. The voltages were moved; state it with hold=, see dehyst.Record."
+    "The displacement leads the voltage by {seconds:.3g} ms, half a sample: the sensor is read at the end of each step "
+    "of the converter. The voltages were moved in time; to state this, use hold=, see dehyst.Record."
 )
 
 
@@ -33,23 +32,23 @@ def of_moved_zeros(errors: Sequence[RecordErrors]) -> list[str]:
     """Return a remark for each record whose zero was moved far."""
     return [
         f"{error.record}: the zero of its sensor was moved by {error.zero * 1e6:.4g} um, "
-        f"{percent(abs(error.zero), error.stroke)} of the stroke. If it was not zeroed anew, the records may be "
-        "of two stages: identify each alone."
+        f"{percent(abs(error.zero), error.stroke)} of the stroke. If it was not zeroed again, the records may come "
+        "from two stages: identify each alone."
         for error in errors
         if abs(error.zero) > _SMALLEST_ZERO * error.stroke
     ]
 
 
 def of_offset(error: RecordErrors, offset: float) -> str:
-    """Return a reason for care if a record is missed by an `error` unless its voltages have an `offset` [V]."""
+    """Return a reason for care: a record has this `error` unless an `offset` [V] is added to its voltages."""
     return (
-        f"{percent(error.settled_largest, error.stroke)} of the stroke is the error on {error.record} unless its "
-        f"voltages are moved by {offset:.3g} V: the records may be of two stages, identify each alone"
+        f"the error on {error.record} is {percent(error.settled_largest, error.stroke)} of the stroke unless its "
+        f"voltages are shifted by {offset:.3g} V: the records may come from two stages, identify each alone"
     )
 
 
 def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float]) -> list[str]:
-    """Return remarks about ends of the limits [V] that the used samples pass for a small part of one cycle."""
+    """Return remarks about ends of the limits [V] with few used samples."""
     low, high = limits
     width, slow = _END * (high - low), excite_command(high, low, "--cycles 2 ", "raised-cosine")
     used = []
@@ -63,8 +62,8 @@ def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float]) -
         passages = sum(np.count_nonzero(inward * (edge - v) > 0) / cycle for v, cycle in used)
         if passages < _LEAST_PASSAGE * _END:
             remarks.append(
-                f"Few samples lie {side} {edge:.4g} V; the limit is {end:.4g} V. The model is little better than "
-                f"extrapolated there. Record slow loops that reach it: {slow}"
+                f"Few samples lie {side} {edge:.4g} V; the limit is {end:.4g} V. There the model is hardly better than "
+                f"an extrapolation. Record slow loops that reach the limit: {slow}"
             )
     return remarks
 
@@ -72,7 +71,7 @@ def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float]) -
 def repaired(
     errors: Sequence[RecordErrors], delay: float, sample: float, *, given: bool, low_pass: float = 0.0
 ) -> list[str]:
-    """Return sentences about the delay [s], for samples `sample` [s] apart, and each record's drift.
+    """Return sentences about the delay [s] and the drift of each record; `sample`: sample time [s].
 
     `low_pass` [s]: the part of the delay that is a lag of first order.
     """

@@ -1,9 +1,9 @@
-"""What lies between a record and the path of its hysteresis: delay, resonance, creep, drift, zero and temperature.
+"""Effects between a record and the path of its hysteresis: delay, resonance, creep, drift, zero and temperature.
 
-A record gives voltage and displacement. Once a few numbers are known, so is the path that drives the elements: the
-voltage some time ago, and the displacement before creep and resonance, without drift, at the reference temperature.
-A small change of each number moves that path by a known column. So all of them are unknowns of the same program as the
-stiffnesses (Gauss and Newton): solve, move, solve again.
+A record gives voltage and displacement. A few numbers determine the path that drives the elements: the delayed voltage,
+and the displacement before creep and resonance, without drift, at the reference temperature. A small change of each
+number moves that path by a known column. Therefore the same program finds these numbers and the stiffnesses, by
+Gauss-Newton iterations: solve, move the path, solve again.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from dehyst.identification.rules import RULES
 from dehyst.model import DisplacementCreep, Dynamics, Thermal
 from dehyst.records import Record
 
-# Time constants of creep in a decade; the slowest in lengths of the longest record.
+# Number of time constants of creep per decade; slowest time constant, as a multiple of the longest record.
 A_DECADE, _LONGEST = 2, 1.0
-# Parts of the range of temperatures, of which records must have some.
+# Number of parts of the temperature range; least number of parts in which the records must have samples.
 _PLACES, _FEWEST = 8, 3
 
 _nothing = partial(np.zeros, 0)
@@ -33,28 +33,28 @@ _nothing = partial(np.zeros, 0)
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Numbers of what lies between records and the path of the hysteresis.
+    """Numbers of the effects between records and the path of the hysteresis.
 
     Attributes
     ----------
     delay, lag : float
-        Time by which the displacement follows the voltage, and time constant of the amplifier [s].
+        Delay of the displacement after the voltage, and time constant of the amplifier [s].
     damping, mass : float
         2 zeta / omega [s] and 1 / omega^2 [s2]; without a resonance mass is 0.
     time_constants, gains : (K,) array
-        Creep in displacement [s], and its gains.
+        Time constants [s] and gains of creep in displacement.
     creep_before : (records, K) array
-        Creep of each record from before its first sample: gain times strain [m].
+        Creep strain of each record at its first sample, times the gain [m].
     drift, zero : (records,) array
-        Drift [m a unit of the record's drift curve], and shift to the axis of the model [m].
+        Drift [m per unit of the record's drift curve], and shift to the axis of the model [m].
     warming, expansion : float
-        Change by temperature of the gain [1/K], and of the displacement at the lowest voltage [m/K].
+        Changes per kelvin: of the gain [1/K], and of the displacement at the lowest voltage [m/K].
     reference : float or None
-        Temperature [degC] at which neither counts; None without an effect of temperature.
+        Temperature [degC] at which both changes are 0; None without an effect of temperature.
     lowest : float
-        Displacement about which the gain acts, that at the lowest voltage [m].
+        Displacement at the lowest voltage [m], which the gain does not change.
     hidden : float
-        Creep in a decade, as a part of a step, that the records neither show nor exclude.
+        Creep per decade, as a part of a step, that the records neither show nor exclude.
     """
 
     delay: float = 0.0
@@ -74,7 +74,7 @@ class Motion:
 
     @classmethod
     def none(cls, records: int) -> Motion:
-        """Return the numbers of records that nothing moves."""
+        """Return the numbers of records without any of these effects."""
         return cls(creep_before=np.zeros((records, 0)), drift=np.zeros(records), zero=np.zeros(records))
 
     @property
@@ -94,17 +94,17 @@ class Motion:
 
     @property
     def creep(self) -> DisplacementCreep | None:
-        """The branches with a gain; None without one."""
+        """Creep in displacement, with the branches whose gain is not 0; None if all gains are 0."""
         kept = self.gains > 0
         return DisplacementCreep(self.time_constants[kept], self.gains[kept]) if kept.any() else None
 
     @property
     def at_rest(self) -> float:
-        """Displacement after creep has come to rest, relative to that before creep."""
+        """Displacement with creep at rest over the displacement before creep."""
         return 1.0 + float(self.gains.sum())
 
     def before(self, item: Prepared, number: int) -> Prepared:
-        """Return a record, of this number, without drift, temperature and creep."""
+        """Return a record without drift, temperature and creep; `number`: its place in the arrays."""
         if self.drift[number]:
             item = item.without_drift(float(self.drift[number]))
         if (thermal := self.thermal) is not None:
@@ -125,9 +125,9 @@ def creep_times(fastest: float, longest: float) -> Array:
 class Part:
     """Columns of a part in the program.
 
-    `name`: of the part. `columns` (n, k): by how much the path moves for a unit of each number [m], or the voltage [V]
-    if `volts`. `value` (k,): the numbers that the path has already. `bounded`: whether they are not negative. `ridge`
-    (p, k): rows that hold them near 0 or alike, relative to the mean square of the columns.
+    `name`: name of the part. `columns` (n, k): motion of the path per unit of each number [m], or with `volts` change
+    of the voltage [V]. `value` (k,): numbers already applied to the path. `bounded`: whether the numbers must not be
+    negative. `ridge` (p, k): rows that pull the numbers to 0 or to each other, relative to the RMS of the columns.
     """
 
     name: str
@@ -139,7 +139,7 @@ class Part:
 
 
 class Parts:
-    """Makes the columns of parts at the rows of a program."""
+    """The columns of parts at the rows of a program."""
 
     def __init__(self, motion: Motion, training: Sequence[Prepared], rows: Rows) -> None:
         self.motion, self.training, self.rows = motion, training, rows
@@ -150,11 +150,11 @@ class Parts:
         return [self.motion.before(item, q) for q, item in enumerate(self.training)]
 
     def of(self, names: Sequence[str]) -> list[Part]:
-        """Return parts by their names."""
+        """Return the parts with these names."""
         return [getattr(self, f"_{name}")() for name in names]
 
     def _at_rows(self, columns: Sequence[tuple[Array, Array]]) -> Array:
-        """Return columns (n, k) of each record, given with their times, at the rows."""
+        """Interpolate times and columns (n, k) of each record at the rows."""
         rows, found = self.rows, np.zeros((len(self.rows), columns[0][1].shape[1]))
         for q, (time, values) in enumerate(columns):
             own = rows.record == q
@@ -171,11 +171,11 @@ class Parts:
         return Part("delay", self._rates(0.0), np.array([self.motion.delay]), volts=True)
 
     def _lag(self) -> Part:
-        # The voltage v behind the low-pass moves by -w, w + lag w' = v'.
+        # A larger lag changes the voltage v behind the low-pass by -w, with w + lag w' = v'.
         return Part("lag", self._rates(self.motion.lag), np.array([self.motion.lag]), volts=True)
 
     def _rates(self, lag: float) -> Array:
-        """Return the rates of the acting voltages behind a low-pass at the rows (n, 1) [V/s]."""
+        """Return the low-pass filtered rates of the acting voltages at the rows (n, 1) [V/s]."""
         found = []
         for item in self.training:
             acting = item.acting(self.motion.delay, self.motion.lag)
@@ -197,7 +197,7 @@ class Parts:
         for item in self.before:
             time, m = item.with_lead
             found.append((time, m[:, None] - part.strains(time, m)))
-        # Slower branches than the last have no gain.
+        # Neighbouring gains are similar; the gain beyond the slowest branch is 0.
         alike = np.diff(np.eye(motion.time_constants.size + 1), axis=0)[:, :-1]
         return Part("creep", -self._at_rows(found), motion.gains, bounded=True, ridge=alike)
 
@@ -222,12 +222,12 @@ class Parts:
         return Part("thermal", -columns, np.array([self.motion.warming]))
 
     def _expansion(self) -> Part:
-        # Records at other temperatures show it by the place of their loops on the spring alone: that is little.
+        # Only the place of the loops on the spring shows the expansion, which is weak evidence: the ridge is large.
         return Part("expansion", -self._kelvins, np.array([self.motion.expansion]), ridge=0.5 * np.eye(1))
 
     @cached_property
     def _kelvins(self) -> Array:
-        """Temperatures less the reference at the rows (n, 1) [K]."""
+        """Temperatures minus the reference at the rows (n, 1) [K]."""
         found, reference = [], self.motion.reference
         assert reference is not None
         for item in self.training:
@@ -237,7 +237,7 @@ class Parts:
         return self._at_rows(found)
 
 
-# Parts of a single number, and its name.
+# Parts with a single number, and the name of the number in `Motion`.
 _NUMBERS = {"delay": "delay", "lag": "lag", "thermal": "warming", "expansion": "expansion"}
 
 
@@ -273,31 +273,31 @@ class Temperatures:
 
     @property
     def left_out(self) -> str:
-        """Words on a model without their effect."""
+        """Words for a model without the effect of temperature."""
         return f"the temperature changes from {self.low:.3g} to {self.high:.3g} degC, which the model leaves out"
 
     def sentence(self, motion: Motion, errors: dict[str, float], better: float) -> str:
-        """Return what was found.
+        """Return a sentence with the effect of temperature.
 
-        `errors`: standard errors of the gain, "thermal" [1/K], and of the "expansion" [m/K] where there is one.
-        `better`: error of held-out time, relative to the error without the effect.
+        `errors`: standard errors of the gain, "thermal" [1/K], and of the "expansion" [m/K] if it was found.
+        `better`: held-out error, relative to the error without the effect.
         """
-        shift = " Held-out time does not show whether it also shifts as a whole."
+        shift = " The held-out error does not show whether the displacement also shifts as a whole."
         found = f"the stroke changes by {100 * motion.warming:+.3g} ± {100 * errors['thermal']:.2g} %/K"
         if "expansion" in errors:
             change = f"{1e9 * motion.expansion:+.3g} ± {1e9 * errors['expansion']:.2g} nm/K"
             found, shift = f"{found} and the displacement at the lowest voltage changes by {change}", ""
         return (
-            f"From {self.low:.3g} to {self.high:.3g} degC {found}. Held-out time is missed by {100 * better:.0f} % of "
-            f"the error without that.{shift}"
+            f"From {self.low:.3g} to {self.high:.3g} degC {found}. The held-out error is {100 * better:.0f} % of the "
+            f"error without this effect.{shift}"
         )
 
 
 def temperatures_of(records: Sequence[Record]) -> tuple[Temperatures | None, str]:
-    """Return the temperatures of `records` of one axis, and why they do not show an effect.
+    """Return the temperatures of `records` of one axis, and the reason if they cannot show an effect.
 
-    None without a change by `DecisionRules.temperatures`. All records need a temperature; the reason is empty if there
-    is nothing to show.
+    The temperatures are None if they change by less than `DecisionRules.temperatures`; the reason is then empty. All
+    records need a temperature.
     """
     known = [record.temperature for record in records if record.temperature is not None]
     if not known:

@@ -18,17 +18,17 @@ from dehyst.identification.rules import RULES
 from dehyst.model import DisplacementCreep, Dynamics, Thermal
 from dehyst.records import Record, bandwidth, counting, interpolate, of_one_axis
 
-# The voltage has this share of its energy above the bandwidth; this many times that rate is kept, this many samples of
-# the shortest cycle, and this many of all training records.
+# Share of the voltage's energy above its bandwidth; least sample rate over this bandwidth; least number of samples of
+# the shortest cycle, and of all training records.
 _SHARE, _TIMES = 1e-5, 10.0
 _A_CYCLE, ENOUGH = 60, 4000
-# A mean's samples ring if they differ by this many standard deviations of the noise.
+# The samples of a mean ring if their range exceeds this number of standard deviations of the noise.
 _RINGS = 8.0
 
 
 def block_of(record: Record, most: float) -> int:
-    """Return how many samples a mean may be taken of: `most` at most, 1 at least."""
-    # A mean of samples would move an event.
+    """Return the number of samples that a mean may have: `most` at most, 1 at least."""
+    # A mean of samples would shift an event.
     cycles = record.cycles() if most >= 2 and record.measured is None else []
     if not cycles:
         return 1
@@ -52,11 +52,11 @@ def block_means(record: Record, block: int) -> Record:
 
     displacement, aside = means(record.displacement), record.set_aside
     if (counted := counting(record)) is not None:
-        # A mean with a sample that is left out is left out; a ring's highest and lowest samples drive the elements.
+        # A mean with a left-out sample is left out; while it rings, the extreme samples of a block drive the elements.
         wide = 0.5 * block * record.sample_time
         aside = tuple((first - wide, last + wide) for first, last in record.set_aside)
         blocks = record.displacement[: displacement.size * block].reshape(-1, block)
-        # After it has faded, the noise's extremes would drive them.
+        # After the ringing has decayed, the extremes would be noise.
         rings = np.ptp(blocks, axis=1) > _RINGS * record.noise
         ends = np.where(np.arange(len(blocks)) % 2, blocks.max(axis=1), blocks.min(axis=1))
         whole = counted[: displacement.size * block].reshape(-1, block).any(axis=1)
@@ -72,9 +72,9 @@ def block_means(record: Record, block: int) -> Record:
 
 
 _SHORTEST = 20
-# Time at which a drift begins, in cycles.
+# Origin of the logarithm of a drift, in cycles before the record.
 _FIRST = 0.1
-# Samples of a cycle through whose neighbours a derivative may be taken widely.
+# Cycles with more samples than this allow a wide window for derivatives.
 _MANY = 100
 
 
@@ -85,28 +85,28 @@ class Prepared:
     Attributes
     ----------
     record : Record
-        Without voltage glitches and its start-up transient.
+        The record without voltage glitches and start-up transient.
     lead : Record or None
-        Rest and the transient before the record: they set the state of creep.
+        Rest and transient before the record, which determine the state of creep.
     pieces : tuple of Record
         The parts of `record` between gaps.
     name : str
     samples : int
         Number of samples of the original record, without rest before and after its motion.
     start : float
-        Time of the first of these [s], the origin of creep.
+        Time of the first of these samples [s], the origin of creep.
     noise : float
         Standard deviation of the sensor [m].
     cycle : float
         Median duration of a cycle of the excitation [s].
     can_drift : bool
-        Whether it has enough cycles to separate drift from hysteresis.
+        Whether the record has enough cycles to separate drift from hysteresis.
     sentences : tuple of str
-        Sentences: what was repaired.
+        Sentences about repairs of the record.
     steady : bool
-        Whether it drifts in proportion to time, as a sensor does, and not to its logarithm, as creep does.
+        Whether the drift is linear in time, like the drift of a sensor, or else logarithmic, like creep.
     block : int
-        Samples that `reduced` takes the mean of.
+        Number of samples of a mean in `reduced`.
     """
 
     record: Record
@@ -121,20 +121,20 @@ class Prepared:
     sentences: tuple[str, ...]
     steady: bool = False
     block: int = 1
-    # The last answer of `driving`, by what it was asked for.
+    # Last result of `driving`, by its arguments.
     _driving: dict[tuple[float, float, Dynamics | None, float], list[Record]] = field(
         default_factory=dict, init=False, repr=False
     )
 
     @cached_property
     def reduced(self) -> Prepared:
-        """The record as means of `block` samples: the same motion, and less noise."""
+        """The record as means of `block` samples: the same motion with less noise."""
         if self.block == 1:
             return self
         lead = self.lead
         if lead is not None:
             size = min(self.block, max(len(lead) // 2, 1))
-            # Its last mean ends where the record begins.
+            # The last mean of the lead ends where the record begins.
             lead = block_means(lead[len(lead) % size :], size)
         pieces = tuple(block_means(piece, self.block) for piece in self.pieces)
         record = block_means(self.record, self.block)
@@ -142,11 +142,11 @@ class Prepared:
         return replace(self, record=record, lead=lead, pieces=pieces, samples=samples, noise=record.noise, block=1)
 
     def without_lag(self, lag: float) -> Prepared:
-        """Return the record with the displacements before its sensor's low-pass of first order: y + lag y'."""
+        """Return the record with the displacements before the first-order low-pass of the sensor: y + lag y'."""
         if not lag:
             return self
         demand_short(lag, "sensor_lag", self.cycle)
-        # Few samples a cycle leave no room for a long window.
+        # Cycles with few samples need a short window.
         window = 9 if self.cycle > _MANY * self.record.sample_time else 5
 
         def before(piece: Record) -> Array:
@@ -155,24 +155,24 @@ class Prepared:
 
         known = self if self.lead is None or len(self.lead) >= _SHORTEST else replace(self, lead=None)
         made = known._changed(before)
-        sentence = f"{self.name}: displacements are those before the sensor's lag of {1e3 * lag:.4g} ms, as given."
+        sentence = f"{self.name}: the given lag of the sensor, {1e3 * lag:.4g} ms, was removed from the displacements."
         return replace(made, noise=made.record.noise, sentences=(*self.sentences, sentence))
 
     def without_creep(self, part: DisplacementCreep, start: Array | None = None) -> Prepared:
         """Return the record with the displacements before creep in displacement.
 
-        `start` (K,): strains at the first sample [m]; default: all had crept as it began.
+        `start` (K,): strains at the first sample [m]; default: creep at rest.
         """
         time, y = self.with_lead
         m = part.removed(time, y, start)
         return self._changed(lambda piece: np.interp(piece.time, time, m), time[0])
 
     def without_drift(self, drift: float) -> Prepared:
-        """Return the record without a drift [m a unit of its drift curve]."""
+        """Return the record without a drift [m per unit of its drift curve]."""
         return self._changed(lambda piece: piece.displacement - drift * self.drift_curve(piece))
 
     def at_reference(self, thermal: Thermal) -> Prepared:
-        """Return the record with the displacements at the reference temperature; without temperature as it is."""
+        """Return the record corrected to the reference temperature; unchanged if it has no temperature."""
 
         def before(piece: Record) -> Array:
             temperature = piece.temperature
@@ -191,7 +191,7 @@ class Prepared:
 
     @property
     def with_lead(self) -> tuple[Array, Array]:
-        """Time and displacement, from the lead on if the record continues it."""
+        """Time and displacement of the record, with the lead before it if there is one."""
         lead, record = self.lead, self.record
         follows = lead is not None and (
             0 < record.time[0] - lead.time[-1] <= 0.75 * (lead.sample_time + record.sample_time)
@@ -200,7 +200,7 @@ class Prepared:
         return np.concatenate([part.time for part in parts]), np.concatenate([part.displacement for part in parts])
 
     def with_block(self, most: float) -> Prepared:
-        """Return a copy that is reduced to the bandwidth of its motion, by means over at most `most` samples."""
+        """Return a copy with the block that the bandwidth of its motion allows, `most` samples at most."""
         shortest = min(map(len, self.pieces), default=0) / (2 * _SHORTEST)
         return replace(self, block=block_of(self.record, min(most, shortest)))
 
@@ -208,7 +208,7 @@ class Prepared:
         """Return the lowest and highest displacement [m] of the samples that count and of the turns before them."""
         pieces, stroke = self.pieces, float(np.ptp(self.record.displacement))
         if disturbs(self.noise, stroke):
-            # The extremes of noise are no part of the stroke.
+            # The extremes of noise do not belong to the stroke.
             pieces = tuple(remove_jitter(piece, self.noise, stroke) for piece in pieces)
         counted = counted_samples([(piece.displacement, epochs(piece, self.noise)) for piece in pieces])
         if not counted:
@@ -228,7 +228,7 @@ class Prepared:
             yield behind(late, lag)
 
     def driving(self, delay: float, lag: float, dynamics: Dynamics | None, stroke: float) -> list[Record]:
-        """Return the acting pieces as they drive elements: before the resonance, and without jitter."""
+        """Return the acting pieces with the displacement that drives elements: before the resonance, without jitter."""
         asked = delay, lag, dynamics, stroke
         if asked not in self._driving:
             self._driving.clear()
@@ -239,7 +239,7 @@ class Prepared:
     def drift_curve(self, piece: Record) -> Array:
         """Return the curve of a drift at the samples of a piece: log10 of the time since the record began, mean zero.
 
-        A steady drift is a straight line that covers as many decades.
+        The curve of a steady drift is a straight line with the same range.
         """
         return np.interp(piece.time, *self._drift_curve)
 
@@ -258,7 +258,7 @@ class Prepared:
 
 
 def behind(record: Record, lag: float) -> Record:
-    """Return a record with the voltages behind an amplifier of time constant `lag` [s]."""
+    """Return a record with the output voltages of an amplifier of time constant `lag` [s]."""
     if not lag:
         return record
     strain = DisplacementCreep([lag], [0.0]).strains(record.time, record.voltage)[:, 0]
@@ -273,7 +273,7 @@ def demand_short(seconds: float, argument: str, cycle: float) -> None:
 
 
 def counted_samples(columns: Sequence[tuple[Array, Sequence[Epoch]]]) -> list[Array]:
-    """Return the samples of columns of pieces that count, and of the turns before them, an array an epoch."""
+    """Return for each epoch the samples of a piece's column that count, and the turns before them."""
     return [np.append(values[epoch.start : epoch.stop], values[epoch.turn]) for values, own in columns for epoch in own]
 
 
@@ -282,7 +282,7 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
 
     `ringing`: whether the elements follow the ringing after steps; these samples do not count in either case.
 
-    Raise `RecordError` if it cannot be used at all.
+    Raise `RecordError` if no part of the record can be used.
     """
     given = of_one_axis(record)
     whole, holes, left_out = cleaning.clean(given, ringing=ringing)
@@ -311,8 +311,8 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
     if dropped:
         until = float(record.time[dropped] - record.time[0])
         sentences.append(
-            f"{record.name}: the first {until:.4g} s ({dropped} samples) lie outside the loops that follow, a start-up "
-            "transient or a rise from an unknown state; left out."
+            f"{record.name}: the first {until:.4g} s ({dropped} samples) lie outside the later loops and are left out: "
+            "a start-up transient, or a rise from an unknown state."
         )
     pieces, gaps = cleaning.split_at_gaps(kept, holes)
     lead = whole[: first + dropped] if first + dropped > 1 else None
@@ -331,9 +331,9 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
 
 
 def list_of(records: Record | Sequence[Record]) -> list[Record]:
-    """Return one or several records as a list, all of one axis or all of several.
+    """Return one or several records as a list; all have one axis, or all have several.
 
-    Raise `IdentifyError` if they are no records.
+    Raise `IdentifyError` if they are not records.
     """
     given = [records] if not isinstance(records, Sequence) or isinstance(records, str) else list(records)
     for item in given:
@@ -346,20 +346,20 @@ def list_of(records: Record | Sequence[Record]) -> list[Record]:
 
 
 def distinct(training: Any, validation: Any) -> tuple[list[Record], list[Record]]:
-    """Return records as `list_of`; raise `IdentifyError` too without training, or for copies: none would be unseen."""
+    """Return records as `list_of`; raise `IdentifyError` also without training records, or for equal records."""
     first, others, seen = list_of(training), list_of(validation), dict[bytes, str]()
     if not first:
-        raise IdentifyError("got no records, need one loop of voltage and displacement at least")
+        raise IdentifyError("got no records, need at least one loop of voltage and displacement")
     for record in (*first, *others):
         key = record.displacement.tobytes() + record.voltage.tobytes()
         if key in seen:
             raise IdentifyError(
-                f"{record.name}: has the same samples as {seen[key]}; give each record once, and another to validate"
+                f"{record.name}: has the same samples as {seen[key]}; give each record once, and other ones to validate"
             )
         seen[key] = record.name
     return first, others
 
 
 def as_list(records: Record | Sequence[Record]) -> list[Record]:
-    """Return one or several records of one axis as a list, as `list_of`; raise `RecordError` if one has several."""
+    """Return one or several records of one axis as a list, see `list_of`; raise `RecordError` for several axes."""
     return [of_one_axis(item) for item in list_of(records)]

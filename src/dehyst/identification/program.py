@@ -1,16 +1,15 @@
-"""The program: stiffnesses, slopes, and the numbers of what moves, in one non-negative least-squares problem.
+"""The program: stiffnesses, slopes, and the numbers of `Motion`, in one non-negative least-squares problem.
 
     tau(v) = sum_im kappa_im [R_m(y) - R_m(b_i)] + sum_j slope_j R_j(y) + sum_l k_l q_l + s sum_p c_p m_p + a_e + rest
 
-with y the path that drives the elements (`Motion`), R_m(z) the part of z in segment m, the end segments being
-unbounded, b_i the position of cart i, q_l the elongation of smooth element l and a_e the constant of epoch e. m_p is by
-how much the path moves for a unit of number c_p (`Part`), s the slope dv/dy of a fit before. All unknowns are >= 0 but
-the constants and the numbers that may be negative; slope_j and the slopes of tau are >= a floor (Assumption I). tau
-keeps the ends of the voltages where they are, which fixes scale and offset. Rows are weighted by 1/s: residuals are
-lengths.
+with y the path that drives the elements (`Motion`), R_m(z) the part of z in segment m with unbounded end segments, b_i
+the position of cart i, q_l the elongation of smooth element l and a_e the constant of epoch e. m_p is the motion of the
+path per unit of number c_p (`Part`), s the slope dv/dy of an earlier fit. All unknowns are >= 0, except the constants
+and the numbers that may be negative; slope_j and the slopes of tau are >= a floor (Assumption I). tau does not change
+the ends of the voltages, which fixes scale and offset. Rows are weighted by 1/s: residuals are lengths.
 
-With graded elements the right-hand side must rise by the floor at least on every outermost branch; those of these
-inequalities that would be violated go into the program.
+With graded elements the right-hand side must rise by the floor at least on every outermost branch. Only violated
+inequalities enter the program.
 """
 
 from __future__ import annotations
@@ -45,15 +44,15 @@ from dehyst.records import rms
 TRANSFORMER_FLOOR = 0.2
 # A repair of a record must lower the RMS residual by this part of the stroke at least.
 SMALLEST_GAIN = 1e-5
-# A smooth element that holds less of the voltage than this over the whole range is left out.
+# Least voltage of a smooth element, as a part of the voltage's range; smaller ones are left out.
 _NOTHING = 1e-9
-# Rounds of inequalities, inequalities that one adds at most, and how far [of the floor] one may be violated.
+# Largest numbers of rounds of inequalities, and of inequalities added in a round; allowed violation [of the floor].
 _ROUNDS, _ADDED, _VIOLATED = 12, 40, 1e-6
-# Ridge of parts that move, relative to their columns.
+# Ridge of the numbers of `Part`, relative to their columns.
 _RIDGE = 0.02
-# Rows whose columns a processor's cache holds.
+# Number of rows whose columns fit into the cache of a processor.
 _CACHED = 256
-# Passes towards least absolute residuals; those below this part of the median one weigh alike.
+# Passes towards least absolute residuals; residuals below this part of the median have equal weights.
 _REWEIGHTED, _LEAST_MISSED = 3, 0.1
 
 
@@ -61,10 +60,10 @@ _REWEIGHTED, _LEAST_MISSED = 3, 0.1
 class Solution:
     """The coefficients of a program.
 
-    `stiffness` (N, M): kappa_im [V/m]; M = 1 for Maxwell-slip elements. `slopes` (K - 1,): of the spring [V/m].
+    `stiffness` (N, M): kappa_im [V/m]; M = 1 for Maxwell-slip elements. `slopes` (K - 1,): slopes of the spring [V/m].
     `smooth` (L,): stiffnesses of smooth elements [V/m]. `transformer` (T,): slopes of tau; empty without one.
-    `offsets`: constants by epoch [V of tau]. `numbers`: of each part, by its name. `unknowns`: all, in the program's
-    order. `active_set`, `inequalities`: the start of a program nearby.
+    `offsets`: constants by epoch [V of tau]. `numbers`: numbers of each part, by its name. `unknowns`: all unknowns, in
+    the order of the program. `active_set`, `inequalities`: start for a similar program.
     """
 
     stiffness: Array
@@ -80,8 +79,8 @@ class Solution:
     def to_actuator(self, grid: Grid, first: float, **others: Any) -> Actuator:
         """Return the actuator with these coefficients on a grid.
 
-        Smooth elements that hold nothing are left out. `first`: the spring's voltage at its first knot [V]. `**others`:
-        further arguments of `Actuator`.
+        Smooth elements without stiffness are left out. `first`: voltage of the spring at its first knot [V].
+        `**others`: further arguments of `Actuator`.
         """
         mean_slope = float(self.slopes @ np.diff(grid.knots)) / float(np.ptp(grid.knots))
         kept = self.smooth > _NOTHING * mean_slope
@@ -99,7 +98,7 @@ class Solution:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Rows of records, a grid of elements, and parts that move.
+    """Rows of records, a grid of elements, and parts that move the path.
 
     Attributes
     ----------
@@ -108,17 +107,17 @@ class Program:
     floor : float
         Least slope of the spring, and of every outermost branch [V/m].
     smoothing : float
-        How much alike neighbours are held.
+        Weight of the differences of neighbouring unknowns.
     parts : tuple of Part
     near : Solution, optional
-        A solution nearby: rows are weighted by the inverse of its slope dv/dy, by default by that of the mean slope. It
-        says too how elements respond where the path moves.
+        Solution of a similar program. Rows are weighted by the inverse of its slope dv/dy, by default of the mean
+        slope. It also determines how elements respond to a motion of the path.
     folds : int
-        Parts of the rows that can be held out, by `fold` (n,).
+        Number of parts of the rows that can be held out; `fold` (n,) is the part of each row.
     weights : (n,) array, optional
-        Of the rows.
+        Weights of the rows.
     toward : (q,) array, optional
-        Unknowns of static columns: differences from them are alike, and small; by default the unknowns are alike.
+        Static unknowns. The smoothing then acts on the differences from them, which are also kept small.
     """
 
     rows: Rows
@@ -138,7 +137,7 @@ class Program:
     def with_static(self, rows: Rows, grid: Grid, smoothing: float) -> Program:
         """Return the program of the same samples, on another grid or with another smoothing.
 
-        Their weights and the parts that move stay, and all sums if the grid does.
+        The weights and the moving parts stay; on the same grid, all sums stay.
         """
         other, same = replace(self, rows=rows, grid=grid, smoothing=smoothing), ["scale", "responses"]
         if grid is self.grid:
@@ -153,7 +152,7 @@ class Program:
 
     @cached_property
     def numbers(self) -> NDArray[np.intp]:
-        """Epochs that get a constant (E,)."""
+        """Numbers of the epochs that get a constant (E,)."""
         return np.unique(self.rows.epoch)
 
     @cached_property
@@ -179,19 +178,19 @@ class Program:
 
     @property
     def size(self) -> int:
-        """Number of all columns."""
+        """Total number of columns."""
         bounded = sum(part.value.size for part in self._split[1])
         return int(self.free_columns.shape[1] + self.grid.places["transformer"].stop + bounded)
 
     def _write_static(self, out: Array, part: slice) -> None:
-        """Write the columns of elements, spring, smooth elements and tau, in the order of `Grid.places`, of some rows.
+        """Write the columns of elements, spring, smooth elements and tau for some rows, in the order of `Grid.places`.
 
-        `out` (rows of the part, q).
+        `part`: slice of the rows. `out`: array (rows of the part, q) to write to.
         """
         grid, rows, places = self.grid, self.rows, self.grid.places
         y, elements = rows.displacement[part], out[:, places["elements"]]
         if grid.segments > 1:
-            # A segment at a time: an innermost loop over few numbers is slow.
+            # One segment at a time, because an innermost loop over few numbers is slow.
             by_segment, ends = elements.reshape(y.size, -1, grid.segments), [-np.inf, *grid.grades[1:-1], np.inf]
             for k, (low, high) in enumerate(pairwise(ends)):
                 held = np.clip(self.carts[part], low, high)
@@ -200,13 +199,13 @@ class Program:
             elements[:] = rows.elongation[part, grid.movable]
         out[:, places["spring"]] = parts_in_segments(grid.knots, y)
         out[:, places["smooth"]] = rows.moved[part]
-        # Changes of tau leave its ends where they are: the last segment gives back what another one gets.
+        # The ends of tau are fixed: if one segment rises by a voltage, the last segment falls by it.
         tau, lengths = self._tau_parts[part], np.diff(grid.drive)
         if lengths.size:
             out[:, places["transformer"]] = tau[:, -1:] * (lengths[:-1] / lengths[-1]) - tau[:, :-1]
 
     def _weighted(self) -> Iterator[tuple[slice, Array]]:
-        """Yield slices of rows that a processor's cache holds, with all their columns, weighted, in an array [m].
+        """Yield slices of rows that fit into the cache, with an array of all their weighted columns [m].
 
         The array (m, E + F + q) has the free columns first; the next slice overwrites it.
         """
@@ -221,7 +220,7 @@ class Program:
             yield part, own
 
     def static(self, unknowns: Array) -> Array:
-        """Return what unknowns (q,) of elements, spring, smooth elements and tau explain of each row (n,) [m]."""
+        """Return the part of each row (n,) [m] that static unknowns (q,) explain, see `unknowns_of`."""
         found, free = np.empty(len(self)), self.free_columns.shape[1]
         for part, own in self._weighted():
             found[part] = own[:, free : free + unknowns.size] @ unknowns
@@ -229,7 +228,7 @@ class Program:
 
     @cached_property
     def columns(self) -> tuple[Array, int]:
-        """All columns (n, E + F + q), the free ones first, weighted [m]; and how many are free."""
+        """All weighted columns (n, E + F + q) [m], the free columns first; and the number of free columns."""
         return np.vstack([own.copy() for _, own in self._weighted()]), self.free_columns.shape[1]
 
     @cached_property
@@ -241,10 +240,10 @@ class Program:
 
     @cached_property
     def responses(self) -> dict[str, Array]:
-        """Voltages (n, k) [V] by which parts move the equation of each row, by their names.
+        """Voltage changes (n, k) [V] of each row per unit of the numbers of parts, by the names of parts.
 
-        A cart stands where the path has taken it last: where an element does not slide, its force changes by what the
-        path has moved since then.
+        While an element does not slide, its cart stands where the path last moved it: the force changes by the motion
+        of the path since then.
         """
         moved = {part.name: part.columns for part in self.parts if not part.volts}
         found = {part.name: part.columns for part in self.parts if part.volts}
@@ -280,12 +279,12 @@ class Program:
 
     @cached_property
     def regularization(self) -> Array:
-        """Gram matrix (E + F + q, E + F + q) of the rows that hold neighbours alike, beside one row of data."""
+        """Gram matrix (E + F + q, E + F + q) of the smoothing, for a weight of one row of data."""
         free, alike, (moving, held) = self.free_columns.shape[1], _alike(self.grid), self._split
         static = slice(free, free + len(alike))
         whole = np.zeros((self.size, self.size))
         whole[static, static] = (self.smoothing / self.mean_slope) ** 2 * alike
-        if self.toward is not None:  # Differences say nothing of a common change, and nothing of smooth elements.
+        if self.toward is not None:  # Differences do not limit a common change, nor smooth elements.
             squares = sum(np.diag(sums.gram)[static] for sums in self.sums) / len(self)
             whole[static, static] += np.diag(self.smoothing**2 * squares)
         first = self.numbers.size
@@ -315,14 +314,14 @@ class Program:
         return [sums.whole for sums in found]
 
     def solved(self, like: Solution | None = None, *, without: int | None = None) -> Solution:
-        """Return the least-squares solution, of all rows or `without` a fold; `like`: one of a program nearby."""
+        """Return the least-squares solution, of all rows or `without` a fold; `like`: solution of a similar program."""
         total, count = sum(self.sums[1:], self.sums[0]), len(self.rows)
         if without is not None:
             total, count = total - self.sums[without], int(np.count_nonzero(self.fold != without))
         return self._solve(total, count, like)
 
     def reweighted(self, like: Solution) -> tuple[Program, Solution]:
-        """Return nearly the program of least absolute residuals, by less weight for larger ones, and its solution."""
+        """Return the program with smaller weights for larger residuals, near least absolute ones, and its solution."""
         program, found = self, like
         for _ in range(_REWEIGHTED):
             missed = np.abs(program.residual(found))
@@ -332,24 +331,24 @@ class Program:
         return program, found
 
     def unknowns_of(self, model: Solution) -> Array:
-        """Return the unknowns (q,) of elements, spring, smooth elements and tau that a model has."""
+        """Return the unknowns (q,) of elements, spring, smooth elements and tau of a model."""
         stiffness, tau = model.stiffness[self.grid.movable].ravel(), model.transformer[:-1] - TRANSFORMER_FLOOR
         return np.concatenate([stiffness, model.slopes - self.floor, model.smooth, tau])
 
     def residual(self, found: Solution) -> Array:
-        """Return what a solution leaves of each row (n,) [m]."""
+        """Return the residual of a solution at each row (n,) [m], its sign reversed."""
         missed = -self.target
         for part, own in self._weighted():
             missed[part] += own @ found.unknowns
         return missed
 
     def step(self, found: Solution) -> float:
-        """Return how far a solution moves the path by its parts [m], as standard deviation."""
+        """Return the standard deviation [m] of the motion of the path by the parts of a solution."""
         volts = sum(self.responses[part.name] @ (found.numbers[part.name] - part.value) for part in self.parts)
         return float(np.std(volts / self.scale))
 
     def _solve(self, sums: NormalEquations, count: int, like: Solution | None) -> Solution:
-        """Solve sums of `count` rows, inequalities added round by round where they would be violated."""
+        """Solve sums of `count` rows; each round adds the violated inequalities."""
         image = sums.image
         if self.toward is not None:
             image = image + count * self.regularization[:, sums.free : sums.free + self.toward.size] @ self.toward
@@ -363,7 +362,7 @@ class Program:
             try:
                 x, start = program.minimum(limits, start)
             except IdentifyError:
-                # Zero meets every inequality: what fails is rounding, of a record that no model of this kind follows.
+                # Zero meets every inequality, so that the failure is rounding: no such model follows the record.
                 break
             more = np.zeros((0, size))
             if self.grid.segments > 1:
@@ -379,7 +378,7 @@ class Program:
         return self._named(self._rising(x, free), start, limits)
 
     def _rising(self, x: Array, free: int) -> Array:
-        """Return the unknowns with all elements as much softer as every outermost branch needs to rise."""
+        """Return the unknowns with the stiffnesses of all elements reduced until every outermost branch rises."""
         if self.grid.segments == 1:
             return x
         rising, count = self.grid.outermost, self.grid.places["elements"].stop
@@ -425,7 +424,7 @@ class Program:
 
     @cached_property
     def _segments(self) -> tuple[NDArray[np.intp], ...]:
-        """Segments of the spring (n,), and of the grades, that displacements (n,) and movable carts (n, m) are in."""
+        """Segments of the spring (n,) and grades (n,) at the displacements; grades at the movable carts (n, m)."""
         y, grades = self.rows.displacement, self.grid.grades
         return segment_of(self.grid.knots, y), segment_of(grades, y), segment_of(grades, self.carts)
 
@@ -444,7 +443,7 @@ class Program:
     def _shares(self) -> Array:
         """The part of each smooth element that has not yielded at each row, dq/dy (n, L)."""
         grid, q = self.grid, self.rows.moved
-        # The first slip element yields soonest: it shows where the row is bound for.
+        # The first slip element slides soonest: its elongation shows the direction of motion.
         forward = np.sign(q * self.rows.elongation[:, :1])
         return np.asarray(1 - np.minimum(np.abs(q) / grid.lengths, 1) * (grid.closings * forward + 1 - grid.closings))
 
@@ -454,7 +453,7 @@ def _alike(grid: Grid) -> Array:
 
     ``rho_i sqrt(M) (kappa_i,m+1 - kappa_im)`` along the stroke, ``rho_i drho_i+1 (kappa_i+1,m / drho_i+1 - kappa_im /
     drho_i)`` from one threshold to the next, and second differences of the slopes of the spring and of tau over a
-    segment; those of tau are volts, which a slope of the whole range makes metres.
+    segment. The differences of tau are in volts; the mean slope converts them to metres.
     """
     rho, segments, places = grid.breakaway[grid.movable], grid.segments, grid.places
     along = np.diff(np.eye(segments), axis=0) * np.sqrt(segments)

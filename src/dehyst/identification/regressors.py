@@ -1,7 +1,7 @@
 """Regressors: the samples of a record that count, and the elongations of elements at them (theory: running range).
 
-While a record's range does not grow, an element whose 2 rho fits into the range so far is in a known state, and every
-other cart stands still: it adds kappa y and a constant. Such an interval is an epoch; each has one constant.
+While the range of a record does not grow, an element with 2 rho below this range is in a known state. Every other cart
+stands still; its element adds kappa y and a constant. Such an interval is an epoch; each epoch has one constant.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ _SHORTEST_EPOCH = 16
 class Epoch:
     """Samples start..stop-1 of a piece, over which the range of the excitation did not grow.
 
-    `turn`: the sample before `start` at which the range grew last. `reach`: range of displacement [m] so far, less the
-    noise: elements with 2 rho <= reach are in a known state. `middle`: displacement [m] to which the constant of the
-    carts that stand still refers. `width`: range of displacement [m], noise included.
+    `turn`: the sample before `start` at which the range grew last. `reach`: range of displacement [m] so far, minus
+    noise: elements with 2 rho <= reach are in a known state. `middle`: reference displacement [m] of the constant of
+    carts that stand still. `width`: range of displacement [m], with noise.
     """
 
     turn: int
@@ -41,12 +41,12 @@ class Epoch:
 
 
 def epochs(record: Record, noise: float = 0.0) -> list[Epoch]:
-    """Find the epochs by the voltage, whose extremes are exact where the displacement drifts.
+    """Find the epochs from the voltage, because a drift of the displacement would move its extremes.
 
     A growth below 0.2 % of the voltage's range, or below its noise, is ignored.
 
-    `record`: without gaps, its delay removed. `noise`: standard deviation of the sensor [m]: the reach is reduced by
-    the part of a range that is noise.
+    `record`: record without gaps and without delay. `noise`: standard deviation of the sensor [m]; the reach is reduced
+    by the range of the noise.
     """
     v, y = record.voltage, record.displacement
     tolerance = max(2e-3 * float(np.ptp(v)), 6 * white_noise(v))
@@ -63,7 +63,7 @@ def epochs(record: Record, noise: float = 0.0) -> list[Epoch]:
 
 
 def _grows(v: Array, tolerance: float) -> Mask:
-    """Return the samples of runs near the running maximum that raise it by more than the tolerance."""
+    """Return the samples of runs near the running maximum if a run raises the maximum by more than the tolerance."""
     highest = np.maximum.accumulate(v)
     near = np.zeros(len(v) + 2, dtype=bool)
     near[1:-1] = v >= highest - tolerance
@@ -79,9 +79,9 @@ def _grows(v: Array, tolerance: float) -> Mask:
 class Rows:
     """Samples that count, of all records, stacked.
 
-    `elongation` (n, N): s_i [m], or for a cart that stands still y minus the middle of its epoch. `stuck` (n, N) bool:
+    `elongation` (n, N): s_i [m]; for a cart that stands still, y minus the middle of its epoch. `stuck` (n, N) bool:
     whether cart i stands still at this sample. `displacement`, `voltage` (n,): y [m] and v [V]. `record`, `epoch` (n,):
-    their numbers. `time` (n,): [s]. `moved` (n, L): elongations of smooth elements [m].
+    numbers of record and epoch. `time` (n,): [s]. `moved` (n, L): elongations of smooth elements [m].
     """
 
     elongation: Array
@@ -97,7 +97,7 @@ class Rows:
         return len(self.voltage)
 
     def thinned(self, most: int) -> Rows:
-        """Return about `most` of the rows, evenly."""
+        """Return about `most` rows, evenly spaced."""
         some = slice(None, None, max(1, len(self) // most))
         return Rows(**{name: column[some] for name, column in vars(self).items()})
 
@@ -122,9 +122,9 @@ class NumberedEpoch(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RowSource:
-    """Pieces of records, and their epochs: of these samples the rows are made.
+    """Pieces of records, and their epochs, whose samples give the rows.
 
-    `epochs`: of each piece. `leads`: samples left out before each record, by its number; empty: none.
+    `epochs`: epochs of each piece. `leads`: samples left out before each record, by its number; empty: none.
     """
 
     pieces: list[Piece]
@@ -141,7 +141,7 @@ class RowSource:
         *,
         leads: Sequence[Record | None] = (),
     ) -> RowSource:
-        """Find the epochs of pieces; `noise` [m] of each piece, the others see `internal_states`."""
+        """Find the epochs of pieces; `noise`: noise of each piece [m]; for `grid` and `leads` see `internal_states`."""
         spans = [epochs(path, sigma) for (_, path), sigma in zip(pieces, noise, strict=True)]
         return cls([Piece(*piece) for piece in pieces], grid, spans, leads)
 
@@ -150,7 +150,7 @@ class RowSource:
 
     @property
     def count(self) -> int:
-        """Number of epochs; they are numbered from 0 through all pieces."""
+        """Number of epochs; the numbers of epochs start at 0 and continue through all pieces."""
         return sum(map(len, self.epochs))
 
     def numbered(self) -> tuple[NumberedEpoch, ...]:
@@ -159,7 +159,7 @@ class RowSource:
         return tuple(NumberedEpoch(number, *place) for number, place in enumerate(places))
 
     def thinned(self, most: int) -> Rows:
-        """Return about `most` of the rows, evenly."""
+        """Return about `most` rows, evenly spaced."""
         step, before, place = max(1, len(self) // most), 0, 0
         empty, numbers = np.zeros(0), np.zeros(0, dtype=np.intp)
         none = np.zeros((0, self.grid.breakaway.size))
@@ -172,7 +172,7 @@ class RowSource:
                 rho, np.full(rho.size, path.displacement[0]), np.ascontiguousarray(path.displacement)
             )
             for k, epoch in enumerate(spans, before):
-                # Events are few: none is passed over.
+                # Records of events have few samples: all are used.
                 at = np.arange(epoch.start + -place % step, epoch.stop, 1 if path.measured is not None else step)
                 place += epoch.stop - epoch.start
                 at = at if counted is None else at[counted[at]]
@@ -201,8 +201,8 @@ class RowSource:
 def internal_states(grid: Grid, path: Record, lead: Record | None) -> Array:
     """Return the elongations of smooth elements along a path (n, L) [m].
 
-    They are at rest at the path's first sample or, if the path continues a `lead` (samples left out before), at the
-    lead's first sample.
+    They are at rest at the first sample of the path; if the path continues a `lead` (left-out samples), at the first
+    sample of the lead.
     """
     begin, y = np.zeros(grid.lengths.size), np.ascontiguousarray(path.displacement)
     if not begin.size:

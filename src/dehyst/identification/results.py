@@ -16,7 +16,7 @@ from dehyst.identification.rules import RULES
 from dehyst.model import State
 from dehyst.records import turning_points
 
-# A rate of creep from a smaller part of a decade is an extrapolation.
+# Least part of a decade that determines a rate of creep.
 FEWEST_DECADES = 0.5
 
 
@@ -24,30 +24,30 @@ FEWEST_DECADES = 0.5
 class RecordErrors:
     """Measured minus simulated displacement of one `record`, where its state is known.
 
-    `role` is training or validation. `samples` were compared. `left_out` samples were not compared.
+    `role` is training or validation. `samples`, `left_out`: numbers of samples that were and were not compared.
     `largest_with_drift` [m] is the largest error with the drift included. `offset` [V] is the constant that was
     removed. `zero` [m] is the zero of the sensor.
 
     Attributes
     ----------
     largest, rms : float
-        [m], with the reported drift of the record removed.
+        Errors [m] after the reported drift of the record was removed.
     rms_with_drift : float
-        [m], with the drift included.
+        RMS error [m] with the drift included.
     stroke : float
         The range of the widest training loop [m], to which the percentages refer.
     drift : float
-        Removed drift [m a decade of time since the record's start].
+        Removed drift [m per decade of the time since the record's start].
     decades : float
-        Decades of that time that the used samples cover.
+        Number of decades of this time that the used samples cover.
     steady : bool
-        Whether the drift is in proportion to time; `drift` times `decades` is all of it.
+        Whether the drift is linear in time; its total is `drift` times `decades`.
     settled_largest, settled_rms : float
-        Errors after the second turning point of the voltage [m]: the largest one but for one sample in a thousand, and
-        the RMS error over time or over the way of the voltage, whichever is larger.
+        Errors after the second turning point of the voltage [m]: the largest one without outliers, one sample in a
+        thousand; the RMS error over time or over the travel of the voltage, whichever is larger.
     starts : tuple of State
-        The states on the model's axis from which the record was simulated, one for each of its pieces: at the first
-        sample that was compared.
+        State at the first compared sample of each piece of the record, on the model's axis; the simulations start from
+        them.
     """
 
     record: str
@@ -74,7 +74,7 @@ class RecordErrors:
 
     @property
     def drifted_percent(self) -> float:
-        """Displacement by drift over the used samples, in % of the stroke."""
+        """Drift over the used samples, in % of the stroke."""
         return 100 * self.drift * self.decades / self.stroke
 
     @property
@@ -106,10 +106,10 @@ class RecordErrors:
 
 
 def may_creep(rate: float, decades: float) -> bool:
-    """Return whether a drift can be creep, by its rate [% of the stroke a decade] and the decades covered.
+    """Return whether a drift can be creep, by its rate [% of the stroke per decade] and the decades covered.
 
-    Piezoelectric actuators creep by a few percent a decade; a larger drift has another cause. A rate from a small part
-    of a decade is an extrapolation.
+    Piezoelectric actuators creep by a few percent per decade; a larger drift has another cause. A rate from a small
+    part of a decade is an extrapolation.
     """
     return abs(rate) <= RULES.most_creep and decades >= FEWEST_DECADES
 
@@ -118,8 +118,8 @@ def may_creep(rate: float, decades: float) -> bool:
 class Trace:
     """A `record` and its simulation: `time` [s], acting `voltage` [V], displacements [m] on the model's axis.
 
-    `role` is training or validation. `measured` and `simulated` are (n,) [m]. `began` is the time of the record's first
-    sample [s], compared or not.
+    `role` is training or validation. `measured` and `simulated` are (n,) [m]. `began` is the time of the first sample
+    of the record [s], whether it was compared or not.
     """
 
     record: str
@@ -142,7 +142,7 @@ class Trace:
 
     @property
     def settled(self) -> Trace:
-        """The trace after the second turning point of its voltage, without the first sample; else the whole trace."""
+        """The trace after the second turning point of its voltage, if it has enough turns; else the whole trace."""
         turns = turning_points(self.voltage, 0.02 * float(np.ptp(self.voltage)))
         later = turns[turns > 0]
         at = int(later[1]) if len(later) > 2 else 0
@@ -170,7 +170,7 @@ class Check:
     value, floor : float or None
         The measured value, and the largest value due to noise alone; None if there is no such number.
     unit : str
-        Unit of both.
+        Unit of `value` and `floor`.
     sentence : str
         The finding and its meaning.
     """

@@ -1,7 +1,7 @@
-"""The search: which parts move in time, and which static parts, decided by one yardstick.
+"""The search for the parts that move the path in time, and for the static parts, by the held-out error.
 
-The yardstick is the error of held-out time, simulated from the voltages alone (`Frame.held_out_error`). A score is that
-error divided by what the parts must save: the least score wins. Moving parts are compared on a small dictionary.
+That error comes from a simulation with the voltages alone (`Frame.held_out_error`). Each part must lower it to a given
+ratio: the score is the error over these ratios, the least score wins. Trials of moving parts use a small dictionary.
 """
 
 from __future__ import annotations
@@ -30,29 +30,29 @@ from dehyst.records import bandwidth, rms
 _PLAIN = Structure(elements=20, knots=21, smoothing=1e-3)
 _LIGHT = Structure(elements=24, spacing=2.0, grades=6, smooth=True, knots=31, smoothing=1e-2)
 _WHOLE = Structure(elements=40, spacing=2.0, grades=8, knots=41, smooth=True, smoothing=1e-2)
-# The dictionary with the smoothings to choose from, the default first; and with a transformer.
+# Candidates: the dictionary with several smoothings, the default first; then the same with a transformer.
 WIDE = (
     *(replace(_WHOLE, smoothing=s) for s in (1e-2, 3e-2, 3e-3)),
     *(replace(_WHOLE, grades=16, smoothing=s) for s in (1e-2, 3e-3)),
     *(replace(_WHOLE, transformer=20, grades=m, smoothing=s) for m, s in ((1, 1e-2), (8, 1e-2), (8, 3e-3))),
 )
-# If turning points leave elements open, held-out time cannot choose: the first is taken, others show what is open.
+# For turning points that do not determine the elements: the first structure is used, the others show what is open.
 OPEN = (replace(_WHOLE, smoothing=3e-2), replace(_WHOLE, transformer=20, grades=1), _PLAIN)
-# Rows of a first look, of the search, and of the final program.
+# Numbers of rows of the first trials, of the search, and of the final program.
 FEW, _ROWS, _MOST = 2000, 4000, 12_000
-# Turns of Gauss and Newton in the search, at most, and tunings of a resonance.
+# Largest number of Gauss-Newton iterations in the search; number of tunings of a resonance.
 _TURNS, _TUNINGS = 8, 3
-# A turn that moves the path by less than this part of the RMS residual is the last.
+# An iteration that moves the path by less than this part of the RMS residual is the last.
 _SETTLED = 0.3
-# Time constant of the fastest branch of creep, and how exactly a lead of half a sample is known, in samples.
+# Time constant of the fastest branch of creep, and tolerance of a lead of half a sample; both in samples.
 _FASTEST, _HALF_SAMPLE = 2.0, 0.1
-# Creep in a decade that piezoelectric actuators usually have, as parts of a step.
+# Usual creep of piezoelectric actuators per decade, as parts of a step.
 _USUAL_CREEP = 0.01, 0.02
-# A structure whose held-out error is larger by this part counts less by a factor of e.
+# The weight of a structure falls by a factor of e if its held-out error is larger by this part.
 _WORSE = 0.5
 # A larger disagreement, as a part of the stroke, indicates a failed fit.
 _FAILED = 0.2
-# Random turning points of the path on which models are compared, and its samples from one to the next.
+# Path for the comparison of models: number of random turning points, and of samples from one to the next.
 _PATH_TURNS, _BRANCH = 40, 24
 
 
@@ -71,9 +71,9 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """Records with the numbers of what moves, and the solution of a structure.
+    """Records with the numbers of the moving parts, and the solution of a structure.
 
-    `names`: of the parts that move.
+    `names`: names of the moving parts.
     """
 
     frame: Frame
@@ -85,12 +85,12 @@ class Fitted:
 
     @cached_property
     def held_out(self) -> float:
-        """Error of held-out time [m]."""
+        """Held-out error [m]."""
         return self.frame.held_out_error(self.source, self.program, self.found)
 
     @cached_property
     def actuator(self) -> Actuator:
-        """Without limits and name."""
+        """The actuator, without limits and name."""
         return self.frame.actuator(self.program, self.found)
 
     @property
@@ -99,12 +99,12 @@ class Fitted:
         return rms(self.program.residual(self.found))
 
     def spread(self, name: str) -> float:
-        """Return the standard error of the number of a part, by solutions without a fold."""
+        """Return the standard error of the number of a part, from solutions that leave out one fold each."""
         numbers = [float(self.program.solved(self.found, without=k).numbers[name][0]) for k in range(FOLDS)]
         return float(np.sqrt((FOLDS - 1) * np.var(numbers)))
 
     def with_structure(self, structure: Structure) -> Fitted:
-        """Return the solution of another structure for the same samples; what moves stays."""
+        """Return the solution of another structure for the same samples and moving parts."""
         source, rows = self.source, self.program.rows
         if replace(structure, smoothing=self.structure.smoothing) != self.structure:
             source = self.frame.source(structure)
@@ -112,23 +112,23 @@ class Fitted:
         program = self.program.with_static(rows, source.grid, structure.smoothing)
         found = program.solved(self.found)
         if structure.transformer and source is not self.source:
-            # Its own slope weighs its rows: that of tau.
+            # With a transformer, the slope of tau(v) must weight the rows.
             program = replace(program, near=found)
             found = program.solved(found)
         return replace(self, structure=structure, source=source, program=program, found=found)
 
     @property
     def score(self) -> float:
-        """The held-out error divided by what the parts must save."""
+        """The held-out error divided by the ratios to which the parts must lower it."""
         gains = _GAINS if any(self.frame.rests) else _GAINS | {"creep": RULES.hidden_creep_gain}
-        # Grades and a transformer bend the same branches: beside them it must save twice as much.
+        # Grades and a transformer have similar effects: with grades, a transformer must meet its ratio twice.
         bends = bool(self.structure.transformer) * (1 + (self.structure.grades > 1))
         return self.held_out / prod(gains.get(name, 1.0) for name in self.names) / RULES.static_gain**bends
 
 
-# Parts that another structure leaves as they are.
+# Moving parts that do not depend on the structure.
 _OF_RECORDS = ("delay", "lag", "inertia")
-# To what each part must lower the error of held-out time.
+# Ratios to which each part must lower the held-out error.
 _GAINS = {
     "delay": RULES.moving_gain,
     "lag": RULES.moving_gain * RULES.lag_gain,
@@ -148,9 +148,9 @@ def fitted(
     turns: int = 0,
     near: Solution | None = None,
 ) -> Fitted:
-    """Solve the program of a structure; parts of these names move for some `turns` of Gauss and Newton before.
+    """Solve the program of a structure, after `turns` Gauss-Newton iterations of the parts in `names`.
 
-    `near`: a solution nearby of the same structure.
+    `near`: solution of a similar program with the same structure.
     """
     source = frame.source(structure)
     found = frame.program(source, structure, rows).solved() if near is None else near
@@ -168,7 +168,7 @@ def fitted(
 
 @dataclass(eq=False)
 class _Search:
-    """The search for what moves in time: where trials begin, parts that always move, and what was tried."""
+    """The search for moving parts: start of the trials, parts that always move, and trials so far."""
 
     report: Progress
     near: Solution | None = None
@@ -176,28 +176,28 @@ class _Search:
     trials: list[Trial] = field(default_factory=list)
 
     def tried(self, frame: Frame, names: tuple[str, ...], more: str = "", near: Solution | None = None) -> Fitted:
-        """Solve the small dictionary with parts of these names moving."""
+        """Solve the small dictionary with the moving parts in `names`."""
         moved = [name for name in names if name != "creep_before"]
         words = f"moves: {' and '.join(moved) or 'nothing'}{more}"
         self.report(f"trying what {words}")
         whole = (*names, *(name for name in self.always if name not in names))
-        # Trials begin at one solution, that of the path which nothing moves, or at one `near`.
+        # Trials begin at the solution without moving parts, or at the solution `near`.
         self.near = self.near or frame.program(frame.source(_LIGHT), _LIGHT, FEW).solved()
         made = fitted(frame, _LIGHT, FEW, whole, _TURNS if whole else 0, near or self.near)
         self.trials.append(Trial(words, made.held_out))
         return made
 
     def own(self, made: Fitted, *without: str) -> tuple[str, ...]:
-        """Return the names of the parts that a solution has beside those that always move, and `without` some."""
+        """Return the names of the moving parts of a solution, except parts that always move and those in `without`."""
         return tuple(name for name in made.names if name not in (*self.always, *without))
 
 
 def moving(
     frame: Frame, report: Progress, *, lag: bool, drift: bool, more: bool
 ) -> tuple[Frame, tuple[str, ...], list[Trial]]:
-    """Return the records with the numbers of the parts that move, the names of these parts, and what was tried.
+    """Return the records with the numbers of the moving parts, the names of these parts, and all trials.
 
-    `lag`, `drift`: whether these may move. `more`: whether creep and a resonance may.
+    `lag`, `drift`: whether the search may find these. `more`: whether it may find creep and a resonance.
     """
     search = _Search(report, always=("zero",) if frame.motion.zero.any() else ())
     tau = creep_times(_FASTEST * frame.times[0], frame.times[1])
@@ -211,7 +211,7 @@ def moving(
             search.always = (*search.own(best), *search.always)
         else:
             frame = cold(frame)
-    # Creep, and drifts by the logarithm of time or in proportion to it.
+    # Creep, logarithmic drift and linear drift are tried in turn.
     items, steady = frame.training, [replace(item, steady=True) for item in frame.training]
     ways = list[tuple[tuple[str, ...], Any, str]]([(("creep", "creep_before"), items, "")] if more else [])
     ways += [(("drift",), items, ""), (("drift",), steady, ", in proportion to time")] if drift else []
@@ -223,25 +223,25 @@ def moving(
     ]
     best = _best([base, *beside])
     if lag and beside:
-        # A lag may hide the others, and they may stand for a lag: it must show itself beside the best of them.
+        # A lag may hide the other parts, and these may imitate a lag: the lag is tried again with the best of them.
         other = min(beside, key=lambda made: made.score)
         names = search.own(other, "delay")
         on_time = replace(other.frame, motion=replace(other.frame.motion, delay=0.0))
         both = search.tried(on_time, names if "delay" in other.names else ("delay", *names), near=other.found)
         best = _best([best, both])
         if "delay" in both.names and not _lags(both.frame) and both.held_out < best.held_out:
-            # That delay does not count, but the other parts found better numbers beside it.
+            # This delay has another cause and is left out; the better numbers of the other parts are kept.
             on_time = replace(both.frame, motion=replace(both.frame.motion, delay=0.0))
             best = _best([best, search.tried(on_time, names, near=both.found)])
     late = best if "delay" in best.names else late
     at = late.frame.motion
-    # Behind a low-pass as slow as the cycles a delay is too long, and still shows about its time constant.
+    # A low-pass as slow as the cycles gives a delay that is too long, but about as long as its time constant.
     too_long = at.delay > RULES.longest_lag * min(item.cycle for item in frame.training)
-    # Below a sample a low-pass looks as a delay does, and its inverse would overshoot at steps.
+    # A lag below a sample does not show whether it is a delay or a low-pass, and its inverse would overshoot at steps.
     if "delay" in late.names and (late is best or too_long) and at.delay >= frame.times[0]:
         slow = replace(late.frame, motion=replace(at, delay=0.0, lag=max(at.delay, 0.0)))
         best = _best([best, search.tried(slow, ("lag", *search.own(late, "delay")), near=late.found)])
-    # Creep shows in rests. Without them a usual one may hide: the largest that does not miss held-out time more.
+    # Creep shows in rests. Without rests usual creep may be hidden: the largest that does not raise the held-out error.
     for rate in _USUAL_CREEP if more and "creep" not in best.names and not any(frame.rests) else ():
         creeping = replace(best.frame, motion=replace(best.frame.motion, gains=np.full_like(tau, rate / A_DECADE)))
         made = fitted(creeping, _LIGHT, FEW, (*best.names, "creep_before"), _TURNS, best.found)
@@ -261,7 +261,7 @@ def cold(frame: Frame) -> Frame:
 
 
 def _tuned(made: Fitted) -> Fitted:
-    """Return a solution whose resonance and other numbers are tuned by turns."""
+    """Return a solution whose resonance and other numbers are tuned alternately."""
     for _ in range(_TUNINGS):
         if not _excited(made.frame):
             break
@@ -271,28 +271,28 @@ def _tuned(made: Fitted) -> Fitted:
 
 
 def _best(some: Sequence[Fitted]) -> Fitted:
-    """Return the best of some solutions; those with a delay of another cause do not count."""
+    """Return the best of some solutions, without those whose delay must have another cause."""
     return min((made for made in some if "delay" not in made.names or _lags(made.frame)), key=lambda made: made.score)
 
 
 def _lags(frame: Frame) -> bool:
-    """Whether the delay is one that is searched for: a sample or more of lead, or a long lag, has another cause."""
+    """Whether the delay is plausible: a lead of a sample or more, or a long lag, has another cause."""
     step, cycle = frame.times[0], min(item.cycle for item in frame.training)
     delay = frame.motion.delay
     lags = RULES.shortest_lag * step <= delay <= RULES.longest_lag * cycle
-    # Read at the end of a step of a converter that holds, a displacement leads by half a sample.
+    # A displacement that is read at the end of each step of a converter leads by half a sample.
     return lags or abs(delay / step + 0.5) < _HALF_SAMPLE
 
 
 def _may_swing(frame: Frame) -> bool:
     """Whether the records have fast cycles and enough samples to show a resonance."""
     step, cycle = frame.times[0], min(item.cycle for item in frame.training)
-    # Events are too few to show how a resonance swings.
+    # Events are too few to show a resonance.
     return cycle <= RULES.slowest_cycle * step and all(item.record.measured is None for item in frame.training)
 
 
 def _excited(frame: Frame) -> bool:
-    """Whether the records have a resonance below their Nyquist frequency that a voltage has energy at."""
+    """Whether a voltage excites the resonance, which must lie below the Nyquist frequency."""
     dynamics = frame.motion.dynamics
     if dynamics is None or dynamics.damping > RULES.damped:
         return False
@@ -305,7 +305,7 @@ def _excited(frame: Frame) -> bool:
 def with_parts(
     frame: Frame, structure: Structure, names: tuple[str, ...], rows: int = FEW, near: Solution | None = None
 ) -> Fitted:
-    """Return the solution of a structure beside the parts of these names, whose numbers change with it by one turn."""
+    """Return the solution of a structure with the moving parts in `names`, whose numbers change by one iteration."""
     free = tuple(name for name in names if name not in _OF_RECORDS)
     return replace(fitted(frame, structure, rows, free, int(bool(free)), near), names=names)
 
@@ -313,7 +313,7 @@ def with_parts(
 def static(
     frame: Frame, structures: Sequence[Structure], names: tuple[str, ...], report: Progress
 ) -> tuple[Fitted, list[Trial], list[Fitted]]:
-    """Return the solution of the structure with the least held-out error, what was tried, and all solutions."""
+    """Return the solution of the structure with the least held-out error, all trials, and all solutions."""
     trials = list[Trial]()
 
     def solved(structure: Structure, near: Fitted | None = None) -> Fitted:
@@ -325,14 +325,14 @@ def static(
     first, *others = structures
     best = solved(first)
     if structures is WIDE:
-        # Elements that yield gradually leave inner loops open: they must show themselves.
-        # Creep that was found beside smooth elements is not that beside others: both move on their own.
+        # Smooth elements leave inner loops open, so that they must lower the held-out error. Creep found with smooth
+        # elements differs from creep without them, so that both solutions have moving parts of their own.
         closed = solved(replace(first, smooth=False), best if {*names} <= {*_OF_RECORDS} else None)
         if best.held_out >= RULES.static_gain * closed.held_out:
             best, others = closed, [replace(structure, smooth=False) for structure in others]
     made = [best]
     for structure in others:
-        # Another smoothing of the last grid is near.
+        # With another smoothing on the last grid, the last solution is a good start.
         same = replace(made[-1].structure, smoothing=structure.smoothing) == structure
         made.append(solved(structure, made[-1] if same else best))
     if structures is not OPEN:
@@ -354,7 +354,7 @@ def warmed(frame: Frame) -> Frame:
 
 
 def with_zeros(frame: Frame, report: Progress) -> Frame:
-    """Return the records on one axis: the zero of each is searched for, then all are refined together."""
+    """Return the records on one axis: the zero of each record is estimated, then all zeros are refined together."""
     zero = np.zeros(len(frame.training))
     for q in range(zero.size):
         report("estimating the zeros of the sensor")
@@ -364,8 +364,8 @@ def with_zeros(frame: Frame, report: Progress) -> Frame:
 
 
 def _zero(frame: Frame, number: int) -> float:
-    """Return the zero of a record, if another one than 0 explains it much better beside the widest record."""
-    # Zeros of other records must not hide what this one gains.
+    """Return the zero of a record relative to the widest record; 0 unless another zero fits much better."""
+    # Only these two records are fitted: zeros of other records could hide the improvement.
     pair, motion = [frame.widest, number], frame.motion
     both = replace(motion, creep_before=motion.creep_before[pair], drift=motion.drift[pair])
     alone = replace(frame, training=[frame.training[q] for q in pair], widest=0)
@@ -381,9 +381,8 @@ def _zero(frame: Frame, number: int) -> float:
 def disagreement(actuator: Actuator, others: Sequence[Fitted], chosen: Fitted, frame: Frame) -> float:
     """Return the RMS distance [m] on a random path from other structures.
 
-    The worse a structure explains the records, the less it counts; if all of them together count for less than one that
-    explains them as well, the error of held-out time counts for the rest. The path has random turning points after two
-    full loops.
+    A structure with a larger held-out error has a smaller weight; the weight of an equal error is 1. If the sum of all
+    weights is below 1, the held-out error gets the rest. The path has random turning points after two full loops.
     """
     low, high = frame.voltages
     turns = np.concatenate([[low, high, low, high, low], np.random.default_rng(1).uniform(low, high, _PATH_TURNS)])
@@ -395,7 +394,7 @@ def disagreement(actuator: Actuator, others: Sequence[Fitted], chosen: Fitted, f
         return path[4 * _BRANCH :]
 
     mine, squares, weights = played(actuator), [], []
-    # Another smoothing is no other structure.
+    # Models that differ in smoothing only count as one structure.
     grids = {replace(other.structure, smoothing=0.0): other for other in reversed(others)}
     for other in grids.values():
         apart = float(np.std(played(other.actuator) - mine))
@@ -407,7 +406,7 @@ def disagreement(actuator: Actuator, others: Sequence[Fitted], chosen: Fitted, f
 
 
 def new_in_time(frame: Frame) -> tuple[float, float]:
-    """Return the distances of rises, and of falls, in held-out parts of the time from all others.
+    """Return the distances of rises, and of falls, in held-out parts of the time from the branches in other parts.
 
     Each is an RMS over the parts, relative to the range.
     """
@@ -416,7 +415,7 @@ def new_in_time(frame: Frame) -> tuple[float, float]:
     for item in frame.training:
         voltage = item.record.voltage
         at = branches_of(voltage, high - low)
-        # A branch is in the part that its middle is in.
+        # A branch belongs to the part that holds its middle.
         part.append(part_of(np.asarray(at.mean(axis=1) / len(voltage))) % FOLDS)
         pairs.append(voltage[at])
     of, every = np.concatenate(part), np.concatenate(pairs)

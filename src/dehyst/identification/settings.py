@@ -19,13 +19,13 @@ _U = TypeVar("_U")
 
 
 class _StepLeftError(Exception):
-    """The running step is left, since the deadline has passed."""
+    """The running step ends early, as the deadline has passed."""
 
 
 class Deadline:
     """Deadline of the searches of one identification: a time limit, or a call of `end`.
 
-    Pass it to `dehyst.identify` as `time_limit`. Once it has passed, no further step of a search begins, and the best
+    Pass it to `dehyst.identify` as `time_limit`. After the deadline, no further step of a search begins, and the best
     model so far is completed.
 
     Parameters
@@ -58,7 +58,7 @@ class Deadline:
 
     @property
     def left(self) -> float:
-        """Seconds left, 0 at least; infinite without a limit."""
+        """Remaining time [s], at least 0; infinite without a limit."""
         return 0.0 if self.ended else max(self.seconds - (time.monotonic() - self._begin), 0.0)
 
     @property
@@ -69,19 +69,19 @@ class Deadline:
     def end(self, cause: str = "A request", *, leave_step: bool = False) -> None:
         """End the searches; `cause` is the subject of the sentence that reports it: "Ctrl-C".
 
-        `leave_step` leaves the running step too: only for a signal handler of the thread that identifies.
+        `leave_step` also ends the running step; only a signal handler of the identifying thread may use it.
         """
         self.ended, self._cause = True, cause
         if leave_step:
             self.check()
 
     def check(self) -> None:
-        """If the deadline has passed, leave the step that `attempt` runs; without such a step, do nothing."""
+        """If the deadline has passed, end the step that `attempt` runs; without such a step, do nothing."""
         if self._inside and self.passed:
             raise _StepLeftError
 
     def watched(self, report: Progress) -> Progress:
-        """Wrap a progress `report` of a few words so that it also leaves the step once the deadline has passed."""
+        """Wrap a progress `report`, so that it also ends the step when the deadline has passed."""
 
         def watched(words: str) -> None:
             self.check()
@@ -90,9 +90,9 @@ class Deadline:
         return watched
 
     def attempt(self, step: Callable[[], _T], otherwise: _U, name: str) -> _T | _U:
-        """Return the result of a step; if the deadline passes before its end, add its `name` to `cut`: `otherwise`.
+        """Return the result of a step; if the deadline passes before, add `name` to `cut` and return `otherwise`.
 
-        `step` may be left where it calls `check`, or by a signal.
+        A call of `check` in the step, or a signal, can end the step.
         """
         if not self.passed:
             try:
@@ -106,7 +106,7 @@ class Deadline:
         return otherwise
 
     def remarks(self, best: str) -> list[str]:
-        """Return a sentence about the cut steps, empty if there is none; `best`: the model that remained, in words."""
+        """Return a sentence about the cut steps, empty if there are none; `best`: words for the best model so far."""
         if not self.cut:
             return [f"{self._cause} came when all searches had ended: the model is complete."] if self.ended else []
         cut = self.cut[0] if len(self.cut) == 1 else f"{', '.join(self.cut[:-1])} and {self.cut[-1]}"
@@ -138,7 +138,7 @@ class Settings:
 
     @property
     def lags(self) -> str | None:
-        """Whose the lag of the records is: as stated, or the actuator's beside the known lag of a sensor."""
+        """Cause of the lag of the records: as stated; or the actuator, if the lag of the sensor is known."""
         return self.lag_of if self.lag_of is not None or self.sensor_lag is None else "actuator"
 
     def as_dict(self) -> dict[str, Any]:

@@ -2,15 +2,15 @@
 
     minimise || W (F a + P x - b) ||_2,   a free,   x >= 0,   C x >= l
 
-A program is solved from its sums G = A'A and c = A'b; those of rows that are left out are subtracted. A guess says
-which coefficients are positive and which inequalities hold with equality. The solution of its equations shows which of
-these are wrong. All wrong ones change sides at once, or if that does not help, the last one (block principal pivoting
-with Murty's rule; Portugal, Judice and Vicente 1994, Math. Comput. 63, 625). If the guess comes from a similar program,
-this takes a few Cholesky factors.
+A program is solved from the sums G = A'A and c = A'b; the sums of left-out rows are subtracted. A guess says which
+coefficients are positive and which inequalities hold with equality. The solution of these equations shows which guesses
+are wrong. All wrong guesses change at once; if that does not help, only the last one changes (block principal pivoting
+with Murty's rule; Portugal, Judice and Vicente 1994, Math. Comput. 63, 625). With a guess from a similar program this
+takes a few Cholesky factorisations.
 
-If columns depend on one another, this may never end: then a ridge makes them independent. If inequalities do:
-non-negative least squares of the dual (Lawson and Hanson 1974, chapter 23), which know of inequalities that contradict
-one another.
+With linearly dependent columns this may never end: a ridge then makes them independent. With dependent inequalities,
+non-negative least squares solve the dual (Lawson and Hanson 1974, chapter 23), which also finds contradictions between
+inequalities.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from dehyst._errors import IdentifyError
 from dehyst._types import Array, Mask
 
 _TINY = float(np.finfo(np.float64).tiny)
-# Coefficients and multipliers may be negative by so much of the largest one, or of the largest gradient.
+# Coefficients may be negative by this part of the largest one; multipliers by this part of the largest gradient.
 _ZERO, _FLAT = 1e-9, 1e-8
-# Exchanges of all that is wrong which make nothing better before the dual is solved, and exchanges in all.
+# Largest number of exchanges without improvement before the dual is solved; largest number of all exchanges.
 _PATIENCE, _EXCHANGES = 5, 80
-# Added to the diagonal of G, which is one: keeps factors finite; makes columns independent, and changes predictions by
-# less than any noise.
+# Ridges for the unit diagonal of G: the first keeps factors finite, the second makes columns independent; both change
+# predictions by less than any noise.
 _RIDGES = 1e-13, 1e-8
 _RIDGE_OF_LIMITS, _REFINEMENTS = 1e-12, 3
-# Square of a column without rows, as a part of what it was before rows left.
+# A column has no rows if its square falls below this part of its square before rows were subtracted.
 _LEFT = 1e-10
-# How far the dual may miss limits, rounding of zero, and steps for each equation.
+# Dual: allowed violation of limits; rounding error of zero; largest number of steps for each equation.
 _ROUGHLY, _NOTHING, _STEPS = 1e-6, 1e-14, 30
 
 
 @dataclass(frozen=True, eq=False)
 class ActiveSet:
-    """Coefficients that are not at a bound (q,), and inequalities that are met with equality (m,)."""
+    """Coefficients that are not at a bound (q,), and inequalities that hold with equality (m,)."""
 
     moving: Mask
     active: Mask
@@ -57,7 +57,7 @@ class _Program(NamedTuple):
 
 
 class _Face(NamedTuple):
-    """Minimum with some limits as equations: y, multipliers of the inequalities, and which limits."""
+    """Minimum with some limits as equations: y, multipliers of the inequalities, and these limits."""
 
     y: Array
     multipliers: Array
@@ -67,7 +67,7 @@ class _Face(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """G (q, q), c (q,), and the number of free coefficients, which come first."""
+    """G (q, q), c (q,), and the number of free coefficients, which are the first ones."""
 
     gram: Array
     image: Array
@@ -78,18 +78,18 @@ class NormalEquations:
 
     def __sub__(self, other: NormalEquations) -> NormalEquations:
         gram, image = self.gram - other.gram, self.image - other.image
-        # Only rounding is left of a column without further rows.
+        # A column without remaining rows holds rounding errors only.
         lost = np.diag(gram) <= _LEFT * np.diag(self.gram)
         gram[lost], gram[:, lost], image[lost] = 0.0, 0.0, 0.0
         return NormalEquations(gram, image, self.free)
 
     @classmethod
     def none(cls, size: int, free: int) -> NormalEquations:
-        """Return the sums of no row, for `size` coefficients."""
+        """Return the sums of zero rows, for `size` coefficients."""
         return cls(np.zeros((size, size)), np.zeros(size), free)
 
     def with_rows(self, rows: Array, goal: Array) -> NormalEquations:
-        """Return the sums of further rows (n, q) with targets (n,) too, of G below its diagonal; these are used up."""
+        """Return the sums with rows (n, q) and targets (n,) added, in the lower triangle of G; it overwrites `self`."""
         from scipy.linalg.blas import dsyrk
 
         return NormalEquations(
@@ -104,16 +104,16 @@ class NormalEquations:
     def minimum(self, inequalities: tuple[Array, Array], start: ActiveSet | None = None) -> tuple[Array, ActiveSet]:
         """Return the coefficients (q,), zero for columns without rows, and their active set.
 
-        `inequalities` (m, q) and (m,): C and l; met to 1e-9 of the largest term, columns being scaled to one length.
-        `start`: of a program nearby; by default no coefficient is at its bound. Raise `IdentifyError` if the
-        inequalities contradict one another.
+        `inequalities` (m, q) and (m,): C and l; they hold to 1e-9 of the largest term, for columns of unit length.
+        `start`: active set of a similar program; by default no coefficient is at its bound. Raise `IdentifyError` if
+        the inequalities contradict one another.
         """
         matrix, lower = inequalities
         size = np.sqrt(np.maximum(np.diag(self.gram), 0.0))
-        # Columns have units of their own: only a column without rows is left out.
+        # Columns have different units: only a column without rows is left out.
         kept = size > 0
         places, scale = np.flatnonzero(kept), size[kept]
-        # An inequality of a free coefficient without rows has nothing to hold.
+        # A free coefficient without rows can meet any inequality: such an inequality is left out.
         holding = ~np.any(matrix[:, : self.free][:, ~kept[: self.free]] != 0, axis=1)
         unit = float(np.linalg.norm(self.image[kept] / scale)) or 1.0
         matrix, lower = matrix[:, kept] * (unit / scale) * holding[:, None], lower * holding
@@ -128,7 +128,7 @@ class NormalEquations:
         )
         near, met = np.ones(scale.size, dtype=bool), np.zeros(lower.size, dtype=bool)
         if start is not None:
-            # Inequalities that the program nearby did not have are not active.
+            # Inequalities that the similar program did not have are not active.
             near, common = start.moving[kept], min(met.size, start.active.size)
             met[:common] = start.active[:common]
         tries = (_exchanged(program, near, met, ridge) for ridge in _RIDGES)
@@ -139,7 +139,7 @@ class NormalEquations:
 
 
 def _exchanged(program: _Program, moving: Mask, active: Mask, ridge: float) -> _Face | None:
-    """Exchange limits until none is violated; None if they do not become fewer."""
+    """Exchange limits until none is violated; None if the number of violated limits does not fall."""
     gram, image, free, matrix, lower = program
     moving = moving.copy()
     moving[:free] = True
@@ -159,7 +159,7 @@ def _exchanged(program: _Program, moving: Mask, active: Mask, ridge: float) -> _
         count = int(np.count_nonzero(wrong))
         if not count:
             y[free:] = np.maximum(y[free:], 0.0)
-            # Limits that contradict one another, or have no column that moves, cannot all be met.
+            # Contradicting limits, or limits without a column that can change, cannot all be met.
             return face if np.abs(slack[active]).max(initial=0.0) <= _ZERO * max(largest, 1.0) else None
         least, patience = (count, _PATIENCE) if count < least else (least, patience - 1)
         if patience < 0:
@@ -176,7 +176,7 @@ def _on_face(program: _Program, moving: Mask, active: Mask, ridge: float) -> _Fa
     y, multipliers = np.zeros(moving.size), np.zeros(active.size)
     if not columns.size:
         return None if limits.size else _Face(y, multipliers, moving, active)
-    # The symmetric G is its own transpose, which is in LAPACK's order without another copy.
+    # The transpose of the symmetric G has LAPACK's order without another copy.
     part = program.gram.take(columns, 0).take(columns, 1).T
     part[np.diag_indices(columns.size)] += ridge
     factor, failure = dpotrf(part, lower=1, overwrite_a=1, clean=0)
@@ -191,7 +191,7 @@ def _on_face(program: _Program, moving: Mask, active: Mask, ridge: float) -> _Fa
         factor, failure = dpotrf(np.asfortranarray(normal), lower=1, overwrite_a=1, clean=0)
         if failure:
             return None
-        # The ridge leaves a little of the limits unmet: again for what is left, as an augmented Lagrangian does.
+        # With the ridge the limits are not met exactly: further steps correct this, as in an augmented Lagrangian.
         for _ in range(_REFINEMENTS):
             force = dpotrs(factor, program.lower[limits] - equations @ some, lower=1)[0]
             if not np.all(np.isfinite(force)):
@@ -203,7 +203,7 @@ def _on_face(program: _Program, moving: Mask, active: Mask, ridge: float) -> _Fa
 
 
 def _by_dual(program: _Program) -> _Face:
-    """Return the minimum within all limits; the dual program finds the multipliers of the limits that it touches."""
+    """Return the minimum within all limits; the dual program finds the multipliers of the active limits."""
     from scipy.linalg import LinAlgError, cholesky, solve_triangular
     from scipy.optimize import nnls
 

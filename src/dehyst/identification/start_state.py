@@ -1,13 +1,13 @@
-"""The carts with which a record begins, from its samples before every element is in a known state.
+"""The carts at the start of a record, from its samples before every element is in a known state.
 
-While element i has not slid since the record's first sample, its cart stands at b_i; afterwards the displacement alone
-determines it. So the voltages before the widest range is reached bear on the carts, through
+While element i has not slid since the first sample of a record, its cart stands at b_i; afterwards the displacement
+alone determines it. Therefore the voltages before the widest range determine the carts, through
 
     tau(v) - eta(y) - smooth = sum_i force_i(y, b_i) + constant,
 
-which is solved by bounded least squares from several starts (theory: the whole record, judged whole). Carts that one
-another leave reachable differ by no more than their thresholds do: b_1 = y_0 + rho_1 u_1,
-b_i+1 = b_i + (rho_i+1 - rho_i) u_i+1 with all u in [-1, 1].
+which is solved by bounded least squares from several starts (theory: the whole record, judged whole). In every state
+that a history can reach, neighbouring carts differ by the difference of their thresholds at most:
+b_1 = y_0 + rho_1 u_1, b_i+1 = b_i + (rho_i+1 - rho_i) u_i+1 with all u in [-1, 1].
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from dehyst._types import Array, Mask
 from dehyst.identification.rules import RULES
 from dehyst.model import GradedSlip, MaxwellSlip, SmoothSlip, segment_of
 
-# All carts at the displacement, above it, below it; others are tried if one leaves more than this part of the range.
+# Starts: all carts at the displacement, above, below; the next is tried if the residual exceeds this part of the range.
 _STARTS = (0.0, 1.0, -1.0)
 _GOOD = 5e-3
-# A step that lowers the sum of squares by less than a part ends the search. It may raise it by rounding: what a record
-# leaves open must not depend on its last bit.
+# Largest number of steps; the search ends if a step lowers the sum of squares by less than this part; a step may raise
+# it by this rounding error, so that open directions do not depend on the last bit.
 _STEPS, _WORTH, _SAME_COST = 12, 1e-4, 1e-9
-# Neighbours are held alike by this part of the rows' weight, also where each is free: some carts bear on no sample.
+# Weights of the differences of neighbouring carts, over that of the rows; the second is for carts fitted each alone.
 _ALIKE, _HARDLY = 1e-2, 1e-9
-# Step for a numerical slope, and tolerance of the search, of a smooth element's elongation by its length.
+# Step for numerical slopes, and tolerance of the search, of the elongation of a smooth element over its length.
 _NEAR = 1e-3
 
 
 class StartState(NamedTuple):
     """Carts and smooth elements at the first sample of a piece.
 
-    `carts` (N,): positions [m], on the axis of the displacement. `constant`: offset of the voltages from the model's
-    [V]. `held` (J,): voltages that smooth elements hold in addition to those due to the path since then [V]. `cost`:
-    mean square of the voltages that are not explained [V^2].
+    `carts` (N,): positions [m], on the axis of the displacement. `constant`: offset of the voltages from the model [V].
+    `held` (J,): voltages that smooth elements already hold at this sample [V]. `cost`: mean square of the residual
+    voltages [V^2].
     """
 
     carts: Array
@@ -61,10 +61,10 @@ def fit_start(
     """Fit the carts, and the voltages that smooth elements hold, at the first sample.
 
     `displacement` (n,): path [m] from the first sample of a record, with all its turning points. `force` (n,): voltage
-    that the elements hold there [V], up to a constant and what was held at the first sample. `fades` (n, J): the
-    remainder of one volt that each smooth element held there. `most` (J,): the largest such voltages [V].
-    `constant`: the constant, where it is known. `counted` (n,) bool: samples whose forces count; the others move the
-    elements only.
+    that the elements hold along it [V], up to a constant, without the voltages held at the first sample. `fades`
+    (n, J): remainder along the path of one volt that each smooth element held at the first sample. `most` (J,): largest
+    voltages held there [V]. `constant`: the constant, if it is known. `counted` (n,) bool: samples whose forces count;
+    the others only move the elements.
     """
     y, left, known = np.ascontiguousarray(displacement), force - (constant or 0.0), constant is not None
     problem = _Problem(slip, y, left, fades * most, known, slice(None) if counted is None else counted)
@@ -74,7 +74,7 @@ def fit_start(
         if solutions[-1][0] < (_GOOD * float(np.ptp(force))) ** 2:
             break
     cost, u, rest = min(solutions, key=lambda solution: solution[0])
-    # No history need lead to the carts: each by itself, from there.
+    # From this solution, each cart is also fitted alone, even if no history leads to such carts.
     free = replace(problem, alone=True)
     start = np.clip((problem.carts(u) - displacement[0]) / slip.breakaway, -1.0, 1.0)
     polished = free.solved(np.append(start, u[count:]))
@@ -89,10 +89,10 @@ def fit_strained(
     force: Array,
     fit: Callable[[Array, Array, Array], StartState],
 ) -> tuple[StartState, Array]:
-    """Fit smooth elements too; return their elongations (L,) [m] at the first sample beside what `fit_start` returns.
+    """Fit smooth elements too; return the result of `fit_start`, and their elongations (L,) [m] at the first sample.
 
-    `force` includes what they hold; `fit` is `fit_start` of the others, by force, fades and most. Gauss and Newton's
-    steps: what an element holds is a curve of its first elongation, which is a line with closing 1.
+    `force` includes the voltages of smooth elements; `fit` is `fit_start` of the other elements, by force, fades and
+    most. Gauss-Newton steps follow the voltage of a smooth element, a curve over its elongation (a line for closing 1).
     """
     length, stiffness = smooth.length, smooth.stiffness
 
@@ -115,7 +115,7 @@ def fit_strained(
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Least squares over u (N + J,) in [-1, 1], of carts and of what fades, and a constant."""
+    """Least squares over u (N + J,) in [-1, 1] of carts and of held voltages, and a constant."""
 
     slip: MaxwellSlip | GradedSlip
     displacement: Array
@@ -133,7 +133,7 @@ class _Problem:
         return np.asarray(self.displacement[0] + np.cumsum(np.diff(rho, prepend=0.0) * u[: rho.size]))
 
     def _residual(self, u: Array) -> tuple[Array, Array]:
-        """Return the force less that of the elements (n,) [V], and what u takes from it (n, N + J)."""
+        """Return the force minus the force of the elements (n,) [V], and its negative slopes over u (n, N + J)."""
         carts, slip, y = self.carts(u), self.slip, self.displacement[:, None]
         rho = slip.breakaway
         elongation, _ = slip_elongations(rho, carts, self.displacement)
@@ -143,9 +143,9 @@ class _Problem:
         else:
             held = _integrals(slip, y).sum(axis=1) - _integrals(slip, position).sum(axis=1)
             stiffness = slip.slopes_at(carts)
-        # An element that has slid once no longer depends on where its cart stood.
+        # After its first slide, an element no longer depends on the first position of its cart.
         standing = np.logical_and.accumulate(np.abs(position - carts) <= 1e-9 * rho, axis=0)
-        # Reversed cumulative sums: u_i moves cart i and all those of longer elements.
+        # Reversed cumulative sums: u_i moves cart i and all carts of longer elements.
         by_cart = standing * -stiffness
         by_u = by_cart * rho if self.alone else np.cumsum(by_cart[:, ::-1], axis=1)[:, ::-1] * np.diff(rho, prepend=0.0)
         residual = self.force - held - self.fades @ u[rho.size :]
@@ -155,12 +155,12 @@ class _Problem:
         return float(np.mean(residual**2) if self.known else np.var(residual))
 
     def solved(self, u: Array) -> tuple[float, Array, float]:
-        """Return the sum of squares, u and the constant, from a start, by Gauss and Newton's steps."""
+        """Return the sum of squares, u and the constant, from a start, by Gauss-Newton steps."""
         from scipy.optimize import lsq_linear
 
         residual, slopes = self._residual(u)
         cost, count, branches = self._cost(residual), len(self.slip), self.fades.shape[1]
-        # Rows that hold neighbouring carts alike, and what fades at rest.
+        # Rows that pull neighbouring carts together, and held voltages to 0.
         alike = np.zeros((count - 1 + branches, count + branches))
         alike[: count - 1, :count] = np.diff(np.eye(count), axis=0)
         alike[count - 1 :, count:] = np.eye(branches)
@@ -173,7 +173,7 @@ class _Problem:
             target = np.concatenate([triangle[:, -1], -alike @ u])
             step = lsq_linear(rows, target, bounds=(-1.0 - u - 1e-12, 1.0 - u + 1e-12), method="bvls").x
             if not np.isfinite(step).all():
-                # No sample separates the carts.
+                # No sample determines the carts.
                 break
             for length in (1.0, 0.5, 0.25, 0.0):
                 trial = np.clip(u + length * step, -1.0, 1.0)

@@ -14,10 +14,10 @@ from dehyst._types import Array, Mask
 from dehyst.model import Actuator, GradedSlip, segment_of
 
 # Lengths of smooth elements as parts of the stroke, each with both closings. An element forgets its start over a few
-# lengths: longer ones would still depend on how a record began.
+# lengths: longer elements would still depend on the start of a record.
 _LENGTHS = np.array([0.02, 0.05, 0.1, 0.2, 0.5])
 _CLOSINGS = np.array([0.5, 1.0])
-# Least and most.
+# Least and largest numbers.
 _COUNTS = {"elements": (1, 500), "grades": (1, 50), "knots": (2, 500), "transformer": (0, 200)}
 
 
@@ -28,16 +28,16 @@ class Structure:
     Parameters
     ----------
     elements : int
-        N thresholds, rho_i = stroke / 2 (i / N)^spacing; the last slides over the whole stroke only and acts as part of
-        the spring.
+        Number N of thresholds, rho_i = stroke / 2 (i / N)^spacing. The last element slides only over the whole stroke
+        and acts as part of the spring.
     spacing : float
         1: uniform grid, as in the paper; 2: denser for small loops.
     grades : int
-        Segments of the stroke, each with its own stiffnesses of the elements; 1: Maxwell-slip elements.
+        Number of segments of the stroke, each with other stiffnesses of the elements; 1: Maxwell-slip elements.
     knots : int
-        Knots of the spring.
+        Number of knots of the spring.
     transformer : int
-        Segments of tau(v); 0: no transformer.
+        Number of segments of tau(v); 0: no transformer.
     smooth : bool
         Whether there are elements that yield gradually, of five lengths.
     smoothing : float
@@ -123,7 +123,7 @@ class Grid:
     graded : bool
         Whether the elements are graded; with M = 1 both are possible.
     sliding : (N,) bool array, optional
-        Elements that get a stiffness; default: those that can slide both ways within the knots of the spring.
+        Elements that get a stiffness; default: elements that can slide both ways within the knots of the spring.
     """
 
     breakaway: Array
@@ -154,14 +154,14 @@ class Grid:
 
     @cached_property
     def movable(self) -> Mask:
-        """(N,) whether elements get a stiffness: `sliding`, or those that can slide both ways within the knots."""
+        """(N,) whether elements get a stiffness: `sliding`, or whether they can slide both ways within the knots."""
         if self.sliding is not None:
             return self.sliding
         return np.asarray(2 * self.breakaway < np.ptp(self.knots) * (1 - 1e-9))
 
     @cached_property
     def outermost(self) -> Array:
-        """Slopes of the outermost branches (p, q), a row a straight piece: sums of stiffnesses and spring slopes."""
+        """Coefficients (p, q) of stiffnesses and spring slopes in the slope of each piece of the outer branches."""
         rho = self.breakaway[self.movable]
         parts = []
         for sign in (1.0, -1.0):
@@ -173,7 +173,7 @@ class Grid:
             elements = (ahead.astype(np.int8) - held.astype(np.int8)).reshape(y.size, -1)
             parts.append(np.hstack([elements, spring.astype(np.int8)]))
         rows = np.vstack(parts)
-        # A row as one string of bytes: to compare them is faster than to sort by columns.
+        # Each row becomes one string of bytes: these are faster to compare than columns are to sort.
         _, first = np.unique(rows.view(np.dtype((np.void, rows.shape[1]))).ravel(), return_index=True)
         return np.asarray(rows[np.sort(first)], dtype=np.float64)
 
@@ -184,7 +184,7 @@ class Grid:
 
     @cached_property
     def places(self) -> dict[str, slice]:
-        """Places of each kind of unknown that is not negative, in the order of the program."""
+        """Slices of each kind of non-negative unknown, in the order of the program."""
         sizes = {
             "elements": int(np.count_nonzero(self.movable)) * self.segments,
             "spring": self.knots.size - 1,
