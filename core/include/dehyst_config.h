@@ -1,4 +1,4 @@
-/* The choices of a build, which every file of it includes. */
+/* The settings of a build; all files of the build include them. */
 #ifndef DEHYST_CONFIG_H
 #define DEHYST_CONFIG_H
 

@@ -1,8 +1,8 @@
-/* dehyst: whole records, for the Python package. An export contains dehyst.h, and nothing that is declared here.
+/* dehyst: whole records, for the Python package. An export contains dehyst.h, but nothing from this file.
  *
  * A second evaluator of Maxwell-slip elements, which gives the same answer as the carts of dehyst.h:
  *
- *   stack    the reversals that are still remembered, amortised O(1) in N           dehyst_stack
+ *   stack    the reversals that still have an effect, amortised O(1) in N           dehyst_stack
  *            (Masing: F(y) = F_R + sgn 2 phi(|y - y_R| / 2), phi(a) = sum_i kappa_i min(a, rho_i))
  */
 #ifndef DEHYST_RECORDS_H
@@ -15,7 +15,7 @@ extern "C" {
 #endif
 
 typedef struct dehyst_reversal {
-    dehyst_real y;            /* where the motion turned */
+    dehyst_real y;            /* displacement at which the motion turned */
     dehyst_real slip_voltage; /* sum_i kappa_i s_i there */
     dehyst_real v;            /* voltage there */
 } dehyst_reversal;
@@ -36,43 +36,43 @@ typedef struct dehyst_stack {
 dehyst_status dehyst_stack_encode(const dehyst_plain *plain, const dehyst_plain_state *state, dehyst_stack *stack);
 /* Convert reversals to carts. */
 void dehyst_stack_decode(const dehyst_plain *plain, const dehyst_stack *stack, dehyst_plain_state *state);
-/* Take n samples on the stack, y [n] to v [n]; these may be the same array. */
+/* Compute n samples on the stack, y [n] to v [n]; these may be the same array. */
 void dehyst_stack_compensate(const dehyst_plain *plain, dehyst_stack *stack, const dehyst_real *y, dehyst_real *v,
                              long n);
-/* Take n samples on the stack, v [n] to y [n]; these may be the same array. */
+/* Compute n samples on the stack, v [n] to y [n]; these may be the same array. */
 void dehyst_stack_simulate(const dehyst_plain *plain, dehyst_stack *stack, const dehyst_real *v, dehyst_real *y,
                            long n);
 
-/* Take n samples, y [n] to v [n], from the carts and back to them: on the stack as soon as the state has one.
+/* Compute n samples, y [n] to v [n]; the carts hold the state before and after, the stack is used once there is one.
  * @param work a stack to work in */
 void dehyst_plain_compensate_run(const dehyst_plain *plain, dehyst_plain_state *state, dehyst_stack *work,
                                  const dehyst_real *y, dehyst_real *v, long n);
-/* Take n samples, v [n] to y [n], in the same way. */
+/* Compute n samples, v [n] to y [n], in the same way. */
 void dehyst_plain_simulate_run(const dehyst_plain *plain, dehyst_plain_state *state, dehyst_stack *work,
                                const dehyst_real *v, dehyst_real *y, long n);
 
-/* Memory that a run of an actuator works in. Without reversals it stays on the carts. */
+/* Working memory of a run of an actuator. Without reversals, the run uses the carts. */
 typedef struct dehyst_workspace {
     dehyst_stack stack;
     dehyst_real *value;   /* [knots of the spring] the spring, stiffened by a mass */
     dehyst_real *slope;   /* [knots of the spring - 1] */
     dehyst_real *at_cart; /* [N] psi_i at the carts, with graded elements */
-    int *segment;         /* [N] where the carts sit, with graded elements */
+    int *segment;         /* [N] segments of the carts, with graded elements */
     dehyst_real *smooth;  /* [2 L + 1] with smooth elements */
 } dehyst_workspace;
 
 /* Return the end of a run of equal steps: samples `first` >= 1 to end - 1 are equally spaced in time, up to the
- * rounding of written times. A step that is not positive is a run of its own.
+ * rounding of written times. A step that is not positive makes a separate run.
  * @param time [n] */
 long dehyst_equal_steps(const dehyst_real *time, long first, long n);
-/* Take n samples, w to v; these are different arrays.
+/* Compute n samples, w to v; these are different arrays.
  * @param w [n]
  * @param extra_voltage [n] added to tau(v), or NULL
  * @param v [n] the result */
 void dehyst_compensate_run(const dehyst_actuator *actuator, dehyst_state *state, dehyst_workspace *workspace,
                            const dehyst_real *w, const dehyst_real *extra_voltage, dehyst_real *v, long n);
-/* Take n samples at equal steps of time, v to y; these are different arrays. The slopes of eta, of the elements and of
- * what moves in time must have positive sums.
+/* Compute n samples at equal steps of time, v to y; these are different arrays. The sum of all slopes, of eta, elements
+ * and mass, must be positive.
  * @param v [n]
  * @param load F_ext/kc [m], [n] or NULL; not read without inertia
  * @param y [n] the result; w without inertia */
@@ -84,7 +84,7 @@ void dehyst_simulate_run(const dehyst_actuator *actuator, const dehyst_transitio
  * @param before m before the first sample */
 void dehyst_output_simulate(const dehyst_output *output, dehyst_real *strain, dehyst_real before, const dehyst_real *m,
                             dehyst_real *y, long n);
-/* Do the inverse, y [n] to m [n]; these may be the same array. */
+/* Remove this creep, y [n] to m [n]; these may be the same array. */
 void dehyst_output_compensate(const dehyst_output *output, dehyst_real *strain, dehyst_real before,
                               const dehyst_real *y, dehyst_real *m, long n);
 /* Change the strains of low-passes along a path at equal steps of time and return them.
@@ -92,7 +92,7 @@ void dehyst_output_compensate(const dehyst_output *output, dehyst_real *strain, 
  * @param strain [K]
  * @param before w before the first sample
  * @param w [n] the path
- * @param out [n K] the result, a row a sample */
+ * @param out [n K] the result, one row for each sample */
 void dehyst_strains(int branches, const dehyst_real *decay, const dehyst_real *rise, dehyst_real *strain,
                     dehyst_real before, const dehyst_real *w, dehyst_real *out, long n);
 

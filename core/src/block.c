@@ -1,6 +1,6 @@
-/* A model and the memory of a loop as blocks of bytes, little-endian, numbers as IEEE doubles, on every processor.
+/* A model and the memory of a loop as blocks of bytes: little-endian, with IEEE doubles, on every processor.
  *
- * A model: a header of sixteen unsigned of 32 bits - "DHYM", format, bytes, CRC-32 of all that follows, then N, knots
+ * A model: a header of sixteen unsigned of 32 bits - "DHYM", format, bytes, CRC-32 of the bytes after it, N, knots
  * of the spring, grades, knots of tau, zero, L, taps, inertia (0 or 1), ahead, K and two zeros - and the numbers that
  * walk_model names, in its order. Letters are those of dehyst_model.h.
  *
@@ -16,7 +16,7 @@
 #define HEADER_OF_MODEL 64
 #define HEADER_OF_SNAPSHOT 40
 #define SCALARS 11
-/* Larger sizes are refused: products and sums of them must not overflow. */
+/* Largest allowed size, so that products and sums of sizes do not overflow. */
 #define LARGEST_SIZE (1u << 24)
 
 enum { ELEMENTS, KNOTS, GRADES, BENDS, ZERO, SMOOTH, TAPS, INERTIA, AHEAD, OUTPUT, SIZES };
@@ -75,14 +75,14 @@ static uint64_t double_of(uint32_t bits)
     return sign | ((uint64_t)(exponent - 127 + 1023) << 52) | ((mantissa & 0x7FFFFFu) << 29);
 }
 
-/* A number and its bits; of a float the first four bytes, so that a conversion needs no arithmetic of doubles. */
+/* A number and its bits. A float uses the first four bytes, so that a conversion needs no arithmetic of doubles. */
 typedef union number {
     dehyst_real value;
     uint64_t wide;
     uint32_t narrow;
 } number;
 
-/* What stands for the largest number, whatever its type. */
+/* Code for the largest number of either type. */
 #define LARGEST_BITS 0x7FEFFFFFFFFFFFFFu
 
 static uint64_t bits_at(const unsigned char *bytes) { return word_at(bytes) | ((uint64_t)word_at(bytes + 4) << 32); }
@@ -130,9 +130,9 @@ static void put_frame(unsigned char *bytes, uint32_t kind, uint32_t format, unsi
     put_word(bytes + 12, crc32(0, bytes + 16, size - 16));
 }
 
-/* A place in the numbers of a block that is read to `room`, or written. */
+/* A place in the numbers of a block, which is read to `room` or written. */
 typedef struct cursor {
-    const unsigned char *from; /* NULL: to be written */
+    const unsigned char *from; /* NULL: the block is written */
     unsigned char *to;
     dehyst_real *room;
     dehyst_status status;
@@ -151,7 +151,7 @@ static void one(cursor *c, dehyst_real *x)
     if (!is_finite(*x)) { c->status = DEHYST_ERR_FINITE; }
 }
 
-/* Do the same with a bound that rounding must not move outward. */
+/* The same for a bound that rounding must not move outward. */
 static void bound(cursor *c, dehyst_real *x, int upper)
 {
     const uint64_t exact = (c->from != NULL) ? bits_at(c->from) : 0, size = ~((uint64_t)1 << 63);
@@ -185,7 +185,7 @@ static void some(cursor *c, const dehyst_real **x, unsigned long n)
     for (; n > 0; n--) { one(c, at++); }
 }
 
-/* Do the same with numbers on which the memory of a loop depends. */
+/* The same for numbers on which the memory of a loop depends. */
 static void shaping(cursor *c, const dehyst_real **x, unsigned long n)
 {
     const unsigned char *first = (c->from != NULL) ? c->from : c->to;
@@ -201,7 +201,7 @@ static void walk_elements(cursor *c, dehyst_actuator *a, const uint32_t *size)
     some(c, &a->plain.spring.value, size[KNOTS]);
     some(c, &a->grades.knot, (size[GRADES] > 0) ? (size[GRADES] + 1ul) : 0);
     some(c, &a->grades.slope, (unsigned long)size[ELEMENTS] * size[GRADES]);
-    /* The last row is their sum. */
+    /* The last row is the sum of the others. */
     if (c->from != NULL) { c->room += size[GRADES]; }
     some(c, &a->transformer.knot, size[BENDS]);
     some(c, &a->transformer.value, size[BENDS]);
@@ -246,7 +246,7 @@ static void walk_model(cursor *c, dehyst_model *m, const uint32_t *size, const u
     some(c, &m->start.crept, size[OUTPUT]);
 }
 
-/* Begin the shape of a model with the sizes that the memory of its loop has. */
+/* Begin the shape of a model with the sizes of the memory of its loop. */
 static uint32_t shape_of_sizes(const unsigned char *bytes)
 {
     const unsigned char *sizes = bytes + 16;
@@ -260,7 +260,7 @@ static uint64_t numbers_of(const uint32_t *size)
            (4 * ((uint64_t)size[SMOOTH] + size[OUTPUT])) + size[TAPS] + 10 + 5 + 3 + 3;
 }
 
-/* Return how many numbers a block and the tables that are computed have. */
+/* Return the count of numbers in a block and in the computed tables. */
 static uint64_t room_of(const uint32_t *size)
 {
     const uint64_t n = size[ELEMENTS], m = size[GRADES];
@@ -289,7 +289,7 @@ dehyst_status dehyst_model_room(const unsigned char *bytes, unsigned long size, 
     return status;
 }
 
-/* Put the sizes where the model has them, and the tables that are to be computed into the room. */
+/* Write the sizes to the model, and place the tables to compute in the room. */
 static dehyst_status tabulate(cursor *c, dehyst_model *m, const uint32_t *size)
 {
     dehyst_actuator *a = &m->actuator;
@@ -329,7 +329,7 @@ static dehyst_status tabulate(cursor *c, dehyst_model *m, const uint32_t *size)
     return (status != DEHYST_OK) ? status : dehyst_model_tabulate(m);
 }
 
-/* Check what no function of the core checks otherwise: numbers that Python has computed from other ones. */
+/* Check the numbers that Python computed from others; no other function of the core checks them. */
 static dehyst_status check_motion(const dehyst_model *m)
 {
     const dehyst_actuator *a = &m->actuator;
@@ -490,7 +490,7 @@ dehyst_status dehyst_loop_restore(const dehyst_model *model, dehyst_loop *loop, 
     for (i = 0; i < SCALARS; i++, at += 8) { *scalar[i] = real_at(at); }
     for (i = 0; i < n; i++, at += 8) { memory[i] = memory[n + i] = real_at(at); }
     for (i = 2 * n; i < all; i++, at += 8) { memory[i] = real_at(at); }
-    /* The share of w that follows y depends on the spring, which may be another one. */
+    /* The share of w that follows y depends on the spring, which may differ. */
     loop->input = model->actuator.inertia ? (loop->w - (model->actuator.share * loop->y)) : 0;
     loop->wanted = memory[all - (unsigned long)model->taps];
     loop->target = loop->w;

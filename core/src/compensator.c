@@ -1,6 +1,6 @@
 #include "internal.h"
 
-/* Rare parts of a step, which would slow down the others if they were inlined. */
+/* For rare parts of a step: inlined, they would slow down the other parts. */
 #if defined(__GNUC__)
 #define OUT_OF_LINE __attribute__((noinline, cold))
 #else
@@ -73,8 +73,8 @@ unsigned long dehyst_memory_size(const dehyst_model *model)
     return (unsigned long)DEHYST_MEMORY(a->plain.slip.size, a->smooth.size, model->output.branches, model->taps);
 }
 
-/* Return the state of a loop, and put where its wanted displacements are in `inputs`; before them are the strains of
- * creep behind the elements. */
+/* Return the state of a loop, and set `inputs` to its wanted displacements; the strains of creep behind the elements
+ * lie before them. */
 static dehyst_state state_of(const dehyst_model *model, const dehyst_loop *loop, dehyst_real *memory,
                              dehyst_real **inputs)
 {
@@ -90,7 +90,7 @@ static dehyst_state state_of(const dehyst_model *model, const dehyst_loop *loop,
     return state;
 }
 
-/* Take over what a step has changed; the carts may be in the other half now. */
+/* Copy the changes of a step to the loop; the carts may now be in the other half. */
 static void keep_state(dehyst_loop *loop, const dehyst_state *state, const dehyst_real *memory)
 {
     loop->w = state->memory.y;
@@ -104,7 +104,7 @@ static void keep_state(dehyst_loop *loop, const dehyst_state *state, const dehys
 static dehyst_real before_creep(const dehyst_model *model, const dehyst_loop *loop)
 { return model->actuator.inertia ? loop->y : loop->w; }
 
-/* Put the start of the model into a loop and its memory. */
+/* Write the start of the model to a loop and its memory. */
 static dehyst_state start_state(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_real **inputs)
 {
     const dehyst_actuator *a = &model->actuator;
@@ -176,11 +176,11 @@ dehyst_status dehyst_loop_scale(dehyst_loop *loop, dehyst_real gain, dehyst_real
     return DEHYST_OK;
 }
 
-/* Of the range: motion over which a sensor can be judged. */
+/* Least motion for a check of a sensor, as a part of the range. */
 #define LEAST_MOTION ((dehyst_real)0.01)
-/* Readings that are needed for that. */
+/* Least number of readings for this check. */
 #define LEAST_READINGS 8
-/* A believable sensor moves as the model does: correlation, and squared ratio, within these bounds. */
+/* A sensor is believed if its motion agrees with the model: bounds of correlation and squared ratio. */
 #define CORRELATED ((dehyst_real)0.5)
 #define STUCK ((dehyst_real)0.0625)
 #define TOO_LITTLE ((dehyst_real)0.25)
@@ -194,7 +194,7 @@ static void begin_readings(dehyst_sensor *sensor, dehyst_real expected, dehyst_r
     sensor->near_count = sensor->far_count = 0;
 }
 
-/* Take a reading beside the one that is expected; return whether it counts: it is a number within the bound. */
+/* Add a reading and the expected reading; return whether the reading counts: it is a number within the bound. */
 static inline int take_reading(dehyst_sensor *s, dehyst_real bound, dehyst_real expected, dehyst_real reading)
 {
     dehyst_real way, missed = reading - expected;
@@ -213,7 +213,7 @@ static inline int take_reading(dehyst_sensor *s, dehyst_real bound, dehyst_real 
     return 1;
 }
 
-/* Return whether the sensor is believed after a cycle; put its usual miss, and the squares of misses about it. */
+/* Return whether the sensor is believed after a cycle; set its mean error, and the squares of errors about the mean. */
 static dehyst_fault judge_readings(dehyst_sensor *s)
 {
     dehyst_real way, moved, common, seen;
@@ -240,8 +240,8 @@ dehyst_fault dehyst_sensor_judge(const dehyst_real *expected, const dehyst_real 
     return judge_readings(&sensor);
 }
 
-/* Return the displacement that a sensor without delay should show now. With preview, that is the newest wanted one;
- * where limits or slew rate kept the elements from it, by as much less. */
+/* Return the displacement that a sensor without delay should show now. With preview it is the newest wanted
+ * displacement, minus the part that limits or slew rate prevented. */
 static dehyst_real meant(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory)
 {
     const dehyst_real *inputs;
@@ -276,19 +276,19 @@ dehyst_status dehyst_feedback_begin(const dehyst_model *model, const dehyst_loop
     return DEHYST_OK;
 }
 
-/* Cycles of a trial without a correction; another one has it again. */
+/* Number of cycles of a trial without a correction; one more cycle has it again. */
 #define WITHOUT 3
 
-/* Return whether one mean square of noise exceeds another, each of `count` readings, by a quarter and four standard
- * errors. */
+/* Return whether one mean square of noise exceeds another by a quarter and four standard errors; each has `count`
+ * readings. */
 static int grew(dehyst_real now, dehyst_real before, dehyst_real count)
 {
     const dehyst_real more = now - before;
     return (more > (before / 4)) && ((more * more * count) > (64 * before * before));
 }
 
-/* Judge the answer to the correction in a path that repeats, where a sensor that is late by whole cycles shows the right
- * motion. The mismatch between model and sensor does not depend on the correction unless the sensor is late. */
+/* Check the effect of the correction on a path that repeats, where a sensor that is late by whole cycles shows the
+ * right motion. The mismatch between model and sensor depends on the correction only if the sensor is late. */
 static void judge_answer(dehyst_feedback *f)
 {
     const dehyst_real count = (dehyst_real)f->sensor.near_count;
@@ -303,7 +303,7 @@ static void judge_answer(dehyst_feedback *f)
     } else if (f->trial == 0) {
         f->trial = grew(mismatch, f->usual, count);
     } else {
-        /* What leaves cycles after the correction, or comes back with it, is its echo. */
+        /* A mismatch that disappears cycles after the correction, or returns with it, is its echo. */
         const int left = (f->trial > 1) && (f->trial <= WITHOUT) && grew(f->usual, mismatch, count);
         if (left || ((f->trial > WITHOUT) && grew(mismatch, f->usual, count))) { f->fault = DEHYST_CONTRADICTS; }
         f->usual = mismatch;
@@ -311,11 +311,11 @@ static void judge_answer(dehyst_feedback *f)
     }
 }
 
-/* Return whether there is to be no correction. */
+/* Return whether the correction must be 0. */
 static int takes_back(const dehyst_feedback *f)
 { return (f->fault != DEHYST_BELIEVED) || ((f->trial > 0) && (f->trial <= WITHOUT)); }
 
-/* Judge the sensor after each way there and back of the displacement without a correction, and begin another one. */
+/* Check the sensor after each cycle of the displacement without a correction, and begin another cycle. */
 static void judge_cycle(dehyst_feedback *f, dehyst_real plain)
 {
     const dehyst_real change = plain - f->last;
@@ -331,7 +331,7 @@ static void judge_cycle(dehyst_feedback *f, dehyst_real plain)
     if ((f->sensor.near_count + f->sensor.far_count) < LEAST_READINGS) { return; }
     f->fault = judge_readings(&f->sensor);
     if ((f->fault == DEHYST_BELIEVED) && (f->sensor.near_count > 0)) { judge_answer(f); }
-    /* Taken back within a quarter of the cycle, so that nothing jumps; without readings the mean of the cycle stays. */
+    /* The correction goes to its new value within a quarter of the cycle, without a jump: to 0, or to the mean. */
     f->back = (4 * f->bound) / (dehyst_real)f->samples;
     f->rest = takes_back(f) ? 0 : (f->sum / (dehyst_real)f->samples);
     f->heard -= f->travelled;
@@ -357,7 +357,7 @@ dehyst_real dehyst_feedback_correct(const dehyst_model *model, const dehyst_loop
         const dehyst_real step = (left > f->back) ? f->back : ((left < -f->back) ? -f->back : left);
         f->correction += step;
     } else if (near) {
-        /* The integral of the error, if what was wanted is what was sent; else of the part that is no fault of limits. */
+        /* Integrate the error, without the part that limits or slew rate cause. */
         f->correction -= f->gain * (measured - expected + f->correction);
     }
     if (f->fault == DEHYST_BELIEVED) { judge_cycle(f, expected - f->correction); }
@@ -371,7 +371,7 @@ dehyst_real dehyst_feedback_step(const dehyst_model *model, dehyst_loop *loop, d
     return dehyst_loop_step(model, loop, memory, wanted + correction);
 }
 
-/* Return the displacement of the elements or the mass that makes u: without creep behind them, gain and offset. */
+/* Return the displacement of the elements or the mass for u: without creep behind them, gain and offset. */
 OUT_OF_LINE static dehyst_real without_output(const dehyst_model *model, const dehyst_loop *loop,
                                               const dehyst_real *inputs, dehyst_real u)
 {
@@ -388,15 +388,15 @@ static dehyst_real filtered(const dehyst_model *model, const dehyst_real *inputs
     return w;
 }
 
-/* Return the voltage with which a lagging amplifier acts with `acting`: lag times slope more, the slope by a parabola
- * through the last two. */
+/* Return the command with which a lagging amplifier puts out `acting`: acting + lag times its slope. The slope comes
+ * from a parabola through this and the last two acting voltages. */
 static dehyst_real ahead_of_lag(const dehyst_model *model, const dehyst_loop *loop, dehyst_real acting)
 {
     const dehyst_real three = (3 * acting) - (4 * loop->intended[0]) + loop->intended[1];
     return acting + (model->lag * (three / 2));
 }
 
-/* Return v within slew rate and limits. Limits come last: the slew rate must not push a voltage out of them. */
+/* Return v within slew rate and limits. Limits come last: the slew rate must not move a voltage beyond them. */
 static dehyst_real allowed(const dehyst_model *model, dehyst_loop *loop, dehyst_real v)
 {
     const dehyst_model *c = model;
@@ -433,7 +433,7 @@ dehyst_real dehyst_loop_offer(const dehyst_model *model, dehyst_loop *loop, dehy
     return loop->voltage = allowed(model, loop, v);
 }
 
-/* Move to the candidate, of which the carts are in the other half of the memory. */
+/* Move to the candidate; its carts are in the other half of the memory. */
 static void move_as_offered(const dehyst_model *model, dehyst_loop *loop, dehyst_real *memory, dehyst_state *state)
 {
     dehyst_candidate candidate;
@@ -444,7 +444,7 @@ static void move_as_offered(const dehyst_model *model, dehyst_loop *loop, dehyst
     dehyst_commit(&model->actuator, &model->step, state, &candidate);
 }
 
-/* Move by the voltage v, which is not the candidate's. */
+/* Apply the voltage v, which differs from the voltage of the candidate. */
 static void follow(const dehyst_model *model, dehyst_loop *loop, dehyst_state *state, dehyst_real v, int as_wanted)
 {
     dehyst_real acts = v;
@@ -465,8 +465,8 @@ OUT_OF_LINE static void move_output(const dehyst_model *model, dehyst_loop *loop
     loop->driven = m;
 }
 
-/* End a period in which v was sent. Creep behind the elements is driven by the displacement that was wanted, if that is
- * what v leads to, else by the one that was reached. */
+/* End a period in which v was sent. The wanted displacement drives creep behind the elements, if v leads to it, or else
+ * the displacement reached. */
 static void end_period(const dehyst_model *model, dehyst_loop *loop, dehyst_real *inputs, dehyst_real v, int as_wanted)
 {
     int m;

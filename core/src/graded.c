@@ -36,7 +36,7 @@ static int grade(const dehyst_grades *grades, dehyst_real b, int hint)
 { return count_below(grades->knot + 1, grades->size - 1, b, hint); }
 
 /* Return the segment in which a cart slides in `direction`, `lead` behind y, and the y at which it meets the next knot.
- * The comparison is the one that makes the knot an event, so that no event is met twice. */
+ * The events at knots use the same comparison, so that no event occurs twice. */
 static int grade_ahead(const dehyst_grades *grades, dehyst_real y, dehyst_real lead, dehyst_real direction, int hint,
                        dehyst_real *event)
 {
@@ -115,7 +115,7 @@ dehyst_real dehyst_grades_voltage(const dehyst_actuator *actuator, const dehyst_
     return v;
 }
 
-/* Only carts that move are looked up. */
+/* The segment is searched for moving carts only. */
 void dehyst_grades_compensate(const dehyst_actuator *actuator, dehyst_plain_state *state, dehyst_real *at_cart,
                               int *where, const dehyst_real *y, dehyst_real *v, long n)
 {

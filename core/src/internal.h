@@ -6,7 +6,7 @@
 
 #include <stddef.h>
 
-/* Such flags let the compiler assume that there is no NaN: is_finite would then be 1, and a NaN become a voltage. */
+/* With such flags the compiler assumes that there is no NaN: is_finite would be 1, and a NaN could become a voltage. */
 #if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__) || defined(_M_FP_FAST)
 #error "dehyst: leave out -ffast-math, -Ofast, -ffinite-math-only, /fp:fast: with them a NaN is not refused"
 #endif
@@ -15,11 +15,11 @@ static inline int is_finite(dehyst_real a) { return (a - a) == 0; }
 
 static inline dehyst_real magnitude(dehyst_real a) { return (a < 0) ? -a : a; }
 
-/* Return whether a displacement can be computed with: farther, products with stiffnesses overflow. NaN cannot. */
+/* Return whether a displacement is small enough that products with stiffnesses do not overflow; 0 for NaN. */
 #define DEHYST_FARTHEST (1 / DEHYST_EPSILON / DEHYST_EPSILON)
 static inline int within_reach(dehyst_real a) { return (a >= -DEHYST_FARTHEST) && (a <= DEHYST_FARTHEST); }
 
-/* Return how many entries of the increasing a [n] are <= u; search near the hint first. A negative hint counts as n. */
+/* Return the number of entries of the increasing a [n] that are <= u; search near the hint first (negative: n). */
 static inline int count_below(const dehyst_real *a, int n, dehyst_real u, int hint)
 {
     int low = 0, high = n, i = ((unsigned)hint < (unsigned)n) ? hint : n, tries;
@@ -33,7 +33,7 @@ static inline int count_below(const dehyst_real *a, int n, dehyst_real u, int hi
         }
     }
     while (low < high) {
-        /* On which side a far u lies cannot be predicted: no branch. */
+        /* No branch here: a processor cannot predict the side of a far u. */
         const int middle = low + ((high - low) / 2), below = -(a[middle] <= u);
         low += below & (middle + 1 - low);
         high += ~below & (middle - high);
@@ -48,7 +48,7 @@ static inline int segment(const dehyst_curve *curve, dehyst_real x, int hint)
 static inline dehyst_real on_segment(const dehyst_curve *curve, int j, dehyst_real x)
 { return curve->value[j] + (curve->slope[j] * (x - curve->knot[j])); }
 
-/* The straight segment of a branch that a motion in one direction meets at y: voltage, slope, and where it ends. */
+/* The straight segment of a branch at y, for a motion in one direction: voltage, slope, and its end. */
 typedef struct branch_segment {
     dehyst_real v, slope, event;
 } branch_segment;
@@ -74,7 +74,7 @@ static inline branch_segment look_ahead(const dehyst_actuator *actuator, const d
                                        : dehyst_plain_look_ahead(&actuator->plain, memory, w, direction);
 }
 
-/* Return where a motion that ends at y leaves a cart at b. */
+/* Return the place of a cart, before at b, after a motion that ends at y. */
 static inline dehyst_real cart_after(dehyst_real b, dehyst_real y, dehyst_real rho)
 {
     const dehyst_real low = y - rho, high = y + rho;
@@ -88,10 +88,10 @@ static inline dehyst_real voltage_after(const dehyst_plain *plain, const dehyst_
 {
     const dehyst_slip *slip = &plain->slip;
     const dehyst_real *restrict rho = slip->rho, *restrict kappa = slip->kappa;
-    /* Four sums do not wait for one another. */
+    /* Four independent sums run in parallel. */
     dehyst_real sum[4];
     int i = 0, k;
-    /* An initialiser might call memset. */
+    /* No initialiser: it might call memset. */
     sum[0] = sum[1] = sum[2] = sum[3] = 0;
     for (; (i + 4) <= slip->size; i += 4) {
         for (k = 0; k < 4; k++) {
@@ -108,14 +108,14 @@ static inline dehyst_real voltage_after(const dehyst_plain *plain, const dehyst_
 }
 
 /* Move carts and smooth elements to the w at which G(w) + stiffness (w - w_old) = drive, G the voltage of these and the
- * spring, and return w. Nothing moves if w is not within reach.
- * @param likely the direction that is tried first; the direction of the motion is written back */
+ * spring, and return w. Nothing changes if w is not within reach.
+ * @param likely direction to try first; the direction of the motion is written back */
 dehyst_real dehyst_solve(const dehyst_actuator *actuator, dehyst_state *state, dehyst_real drive, dehyst_real stiffness,
                          dehyst_real *likely);
-/* Return the voltage of smooth elements after a motion over `by`; nothing moves. */
+/* Return the voltage of smooth elements after a motion over `by`, without a change of their state. */
 dehyst_real dehyst_smooth_voltage_after(const dehyst_smooth *smooth, const dehyst_real *elongation, dehyst_real by);
 
-/* Return the displacement with creep behind the elements, m being that without. */
+/* Return the displacement with creep behind the elements; m is the displacement without it. */
 static inline dehyst_real crept(const dehyst_output *output, const dehyst_real *strain, dehyst_real m)
 {
     dehyst_real y = output->at_rest * m;
@@ -142,7 +142,7 @@ static inline void creep_on(const dehyst_output *output, dehyst_real *strain, de
     for (k = 0; k < output->branches; k++) { strain[k] = (output->decay[k] * strain[k]) + (output->rise[k] * by); }
 }
 
-/* Check the strains of creep behind the elements with which a loop begins. */
+/* Check the strains of creep behind the elements at the start of a loop. */
 dehyst_status dehyst_start_check(const dehyst_model *model);
 
 /* Return 1 - exp(-x) for x >= 0, without a mathematics library. */
@@ -156,15 +156,15 @@ dehyst_real dehyst_smooth_voltage(const dehyst_smooth *smooth, const dehyst_real
 /* Add the voltages of smooth elements along a path [n] that begins at y to v [n]. */
 void dehyst_smooth_compensate(const dehyst_smooth *smooth, dehyst_real *elongation, dehyst_real y,
                               const dehyst_real *path, dehyst_real *v, long n);
-/* Do the same as dehyst_solve where there are smooth elements. */
+/* The same as dehyst_solve, with smooth elements. */
 dehyst_real dehyst_smooth_solve(const dehyst_actuator *actuator, dehyst_state *state, dehyst_real drive,
                                 dehyst_real stiffness, dehyst_real *likely);
 
-/* At the end of a step y = offset + gain w: return the gain. */
+/* At the end of a step y = offset + gain w; return the gain. */
 static inline dehyst_real gain_of(const dehyst_actuator *actuator, const dehyst_transition *to)
 { return to->after[0] / (1 + (actuator->share * to->after[0])); }
 
-/* Return the offset of the same. */
+/* Return the offset in the same equation. */
 static inline dehyst_real offset_of(const dehyst_actuator *actuator, const dehyst_transition *to,
                                     const dehyst_state *state, dehyst_real load)
 {

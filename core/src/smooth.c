@@ -1,14 +1,14 @@
 #include "internal.h"
 
-/* The curvature is below rounding where the rest of the motion is this much shorter than the shortest element. */
+/* The curvature is below rounding if the rest of the motion is shorter than this part of the shortest element. */
 #define SHARE ((dehyst_real)(1.0 / 16))
-/* A way in lengths whose ninth power is below rounding, beside the way. */
+/* A motion in lengths whose ninth power is below rounding relative to the motion. */
 #define SHORT_WAY ((dehyst_real)(1.0 / 64))
-/* Newton's steps of a solution beside those that pass events. From below they never go too far: for an element that
- * slides, they take as many steps as its stiffness is powers of e above the stiffness that stays. */
+/* Largest number of Newton steps of a solution, without steps that pass events. From below they never go too far. For a
+ * sliding element they need ln(stiffness of the element / remaining stiffness) steps. */
 #define TRIES 200
 
-/* The series x - x^2 / 2 + ... of 1 - exp(-x) to its eighth power, in an order in which few sums wait for others. */
+/* The series x - x^2 / 2 + ... of 1 - exp(-x) to its eighth power, in an order with few dependent sums. */
 static dehyst_real short_decay(dehyst_real x)
 {
     const dehyst_real t = x * x;
@@ -49,7 +49,7 @@ dehyst_real dehyst_decay(dehyst_real x)
     return (1 - scale) - (scale * rest);
 }
 
-/* 2 artanh(s) with s = a / (2 + a), of half of 1 + a where that is nearer to 1. */
+/* 2 artanh(s) with s = a / (2 + a); if (1 + a) / 2 is nearer to 1, for this number. */
 dehyst_real dehyst_log1p(dehyst_real a)
 {
     static const dehyst_real term[] = {(dehyst_real)(2.0 / 3),  (dehyst_real)(2.0 / 5),  (dehyst_real)(2.0 / 7),
@@ -94,7 +94,7 @@ dehyst_status dehyst_smooth_check(const dehyst_smooth *smooth, const dehyst_real
     return DEHYST_OK;
 }
 
-/* Against its elongation an element returns by r' = 1 - back r, steeper than 1, until it is at rest; then by
+/* While an element returns against its elongation, r' = 1 - back r, which is above 1, until r is 0; then
  * r' = 1 - r / length. */
 dehyst_real dehyst_smooth_moved(const dehyst_smooth *smooth, int l, dehyst_real r, dehyst_real way)
 {
@@ -167,7 +167,7 @@ void dehyst_smooth_compensate(const dehyst_smooth *smooth, dehyst_real *elongati
     }
 }
 
-/* Return the whole right-hand side at w, with nothing moved yet: value, slope onward, and the next change of slope of
+/* Return the whole right-hand side at w without changing the state: value, slope ahead, and the next change of slope of
  * its straight parts. Between such changes it is concave along the motion, because smooth elements only get softer. */
 static branch_segment meet(const dehyst_actuator *actuator, const dehyst_state *state, dehyst_real stiffness,
                            dehyst_real w, dehyst_real direction)
@@ -187,7 +187,7 @@ static branch_segment meet(const dehyst_actuator *actuator, const dehyst_state *
     return ahead;
 }
 
-/* Step over several events where that is not too far, else over the next one. `beyond` lies past the solution. */
+/* Step over several events if this does not pass the solution, or else over the next event. `beyond` lies past it. */
 static branch_segment hop(const dehyst_actuator *actuator, const dehyst_state *state, dehyst_real drive,
                           dehyst_real stiffness, dehyst_real direction, dehyst_real goal, dehyst_real event,
                           dehyst_real *w, dehyst_real *beyond)

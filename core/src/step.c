@@ -54,7 +54,7 @@ dehyst_real dehyst_solve(const dehyst_actuator *actuator, dehyst_state *state, d
 dehyst_real dehyst_step_stiffness(const dehyst_actuator *actuator, const dehyst_transition *step)
 { return actuator->inertia ? (actuator->series * (1 - gain_of(actuator, step))) : 0; }
 
-/* At the end of a step R(w) + known + stiffness (w - w_old) = tau(v): return `known`. */
+/* At the end of a step R(w) + known + stiffness (w - w_old) = tau(v); return `known`. */
 static dehyst_real known_voltage(const dehyst_actuator *actuator, const dehyst_transition *step,
                                  const dehyst_state *state)
 {

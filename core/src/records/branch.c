@@ -1,13 +1,13 @@
 #include "branch.h"
 
-/* Steps of a solution beside those that pass events. */
+/* Largest number of steps of a solution, without steps that pass events. */
 #define TRIES 200
-/* More events in a sample are passed faster by Newton's steps from the start. */
+/* With more events in a sample, Newton steps from the start are faster. */
 #define FEW_EVENTS 2
-/* Beside the shortest smooth element, a step of which the third power is below rounding. */
+/* A step over the length of the shortest smooth element whose third power is below rounding. */
 #define LAST_STEP (DEHYST_EPSILON < (dehyst_real)1e-9 ? (dehyst_real)4e-6 : (dehyst_real)2e-3)
 
-/* Describe the segment ahead: its elastic way back. */
+/* Compute the elastic way back of the segment ahead. */
 static void describe(dehyst_branch *b)
 {
     const dehyst_slip *slip = &b->actuator->plain.slip;
@@ -67,7 +67,7 @@ void dehyst_branch_end(dehyst_branch *branch)
     branch->memory->y = branch->w;
 }
 
-/* Return how far back the elastic way leads, times the direction. */
+/* Return the end of the elastic way back, times the direction. */
 static inline dehyst_real way_back(const dehyst_branch *b)
 {
     const dehyst_real back = b->direction * b->far - b->width;
@@ -79,8 +79,8 @@ static inline dehyst_real voltage_at_far(const dehyst_branch *b)
     return b->ahead.v + b->ahead.slope * (b->far - b->from);
 }
 
-/* Pass the events between the segment and the solution: by Newton's steps, or one event where such a step is too far.
- * Return the solution, which is on the segment then. */
+/* Pass the events between the segment and the solution by Newton steps; if such a step is too far, pass one event.
+ * Return the solution, which then lies on the segment. */
 static dehyst_real pass_events(dehyst_branch *b, dehyst_real drive, dehyst_real stiffness)
 {
     const dehyst_real d = b->direction, start = b->w;
@@ -128,7 +128,7 @@ dehyst_real dehyst_branch_solve(dehyst_branch *b, dehyst_real drive, dehyst_real
     return w;
 }
 
-/* Return the straight parts at the present w, onward in a direction. */
+/* Return the straight parts at the present w, ahead in a direction. */
 static branch_segment line(const dehyst_branch *b, dehyst_real direction)
 {
     branch_segment segment = {voltage_at_far(b) + b->elastic * (b->w - b->far), b->elastic, b->far};
@@ -141,7 +141,7 @@ static branch_segment line(const dehyst_branch *b, dehyst_real direction)
     return segment;
 }
 
-/* Go on beyond an event at which the present w is. At the farthest point the way on is known. */
+/* Continue beyond an event at the present w. At the farthest point, the segment ahead is known. */
 static void pass_event(dehyst_branch *b, dehyst_real direction)
 {
     if (direction != b->direction)
@@ -153,12 +153,12 @@ static void pass_event(dehyst_branch *b, dehyst_real direction)
     describe(b);
 }
 
-/* Smooth elements after a motion: voltage, slope, and change of slope, onward in the direction of motion. */
+/* Smooth elements after a motion: voltage, slope, and change of slope, ahead in the direction of motion. */
 typedef struct smooth_parts {
     dehyst_real v, slope, bend;
 } smooth_parts;
 
-/* Return how the slope of an element falls with r: `inverse` [L] of the lengths. */
+/* Return the fall of the slope of an element with r; `inverse` [L]: 1 / length. */
 static inline dehyst_real rate_of(const dehyst_smooth *smooth, const dehyst_real *inverse, int l, dehyst_real r)
 {
     return r < 0 ? smooth->back[l] : inverse[l];
@@ -183,7 +183,7 @@ static smooth_parts smooth_after(const dehyst_smooth *smooth, const dehyst_real 
     return sum;
 }
 
-/* Move elongations over a last, short step, of which the third power is below rounding. */
+/* Move elongations over a short last step whose third power is below rounding. */
 static void last_step(const dehyst_smooth *smooth, dehyst_real *elongation, dehyst_real direction, dehyst_real by,
                       const dehyst_real *after)
 {
@@ -208,9 +208,9 @@ void dehyst_smooth_prepare(const dehyst_smooth *smooth, dehyst_real *work)
     }
 }
 
-/* Move along the straight parts: by a parabola through value, slope and bend, until a step is short. Between events the
- * whole is concave along the motion, because smooth elements only get softer: a Newton's step that is too far shows that
- * the solution is. Return 0 if this path passes many events, or does not end.
+/* Move along the straight parts by a parabola through value, slope and bend, until a step is short. Between events the
+ * curve is concave along the motion, because smooth elements only get softer: if a Newton step passes an event, so does
+ * the solution. Return 0 if this path passes many events, or does not end.
  * @param after [2 L + 1] from dehyst_smooth_prepare */
 static int along(dehyst_branch *b, dehyst_real *elongation, dehyst_real drive, dehyst_real stiffness,
                  dehyst_real direction, dehyst_real *after)
@@ -222,7 +222,7 @@ static int along(dehyst_branch *b, dehyst_real *elongation, dehyst_real drive, d
     int tries, events = 0;
     for (tries = 0; tries < TRIES; tries++) {
         const smooth_parts parts = smooth_after(smooth, elongation, direction, w - start, after);
-        /* Not of the drive: a division that does not wait for it. */
+        /* This division does not depend on the drive and runs in parallel. */
         const dehyst_real softness = 1 / (straight.slope + stiffness + parts.slope);
         const dehyst_real rest =
             drive - (straight.v + straight.slope * (w - origin)) - stiffness * (w - start) - parts.v;

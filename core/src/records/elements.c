@@ -1,7 +1,7 @@
 #define BUILD(name) name##_baseline
 #include "elements.h"
 
-/* Samples that are looked at, and the share of them that must turn. */
+/* Number of samples to check, and the least share of them that turn. */
 #define LOOK 512
 #define OFTEN 6
 

@@ -1,5 +1,5 @@
-/* The elements of one plain actuator in lanes, for paths that turn at most samples: then carts are faster than a
- * stack of reversals. Compiled once for every instruction set. `BUILD(name)` is the name of a build's function. */
+/* The elements of one plain actuator in lanes, for paths that turn at most of their samples: carts are then faster than
+ * a stack of reversals. This file is compiled for each instruction set; `BUILD(name)` names a function of a build. */
 #ifndef BUILD
 #error "define BUILD before including elements.h"
 #endif
@@ -9,17 +9,17 @@
 
 #define LANES 4
 #define EACH(l) for (l = 0; l < LANES; l++)
-/* Newton's steps before a sample is left to the scalar core. */
+/* Number of Newton steps after which the scalar core computes a sample. */
 #define TRIES 40
 
-/* A register that lies in two lines of the cache, and was just written, is read late. */
+/* A load that crosses two cache lines just after they were written is slow. */
 #if defined(__GNUC__)
 #define ALIGNED __attribute__((aligned(64)))
 #else
 #define ALIGNED
 #endif
 
-/* Tables of the elements, padded with such that never slide. */
+/* Tables of the elements, padded with elements that never slide. */
 typedef struct element_lanes {
     ALIGNED dehyst_real rho[DEHYST_MOST_LANED + LANES];
     ALIGNED dehyst_real kappa[DEHYST_MOST_LANED + LANES];
@@ -45,7 +45,7 @@ static void read_lanes(const element_lanes *lanes, int size, dehyst_real *cart)
     for (i = 0; i < size; i++) cart[i] = lanes->cart[i];
 }
 
-/* Equal cells of the spring, and how many knots lie before each: a random path has no segment to begin a search at. */
+/* Equal cells of the spring, and the number of knots before each: on a random path no last segment helps the search. */
 typedef struct spring_cells {
     const dehyst_curve *curve;
     dehyst_real origin, scale;
@@ -79,7 +79,7 @@ static inline int segment_at(const spring_cells *cells, dehyst_real x)
 {
     const dehyst_curve *curve = cells->curve;
     int j = cells->before[cell_at(cells, x)];
-    /* On which side of a knot a random x lies cannot be predicted: no branch. */
+    /* No branch here: a processor cannot predict the side of a random x. */
     j += (j + 2 < curve->size) & (curve->knot[j + 1] <= x);
     if (cells->crowded)
         while (j + 2 < curve->size && curve->knot[j + 1] <= x) j++;
@@ -113,7 +113,7 @@ void BUILD(dehyst_elements_compensate)(const dehyst_plain *plain, dehyst_plain_s
     state->y = x;
 }
 
-/* A branch at a place: voltage, slope, and how far the straight segment goes on. */
+/* A branch at a place: voltage, slope, and the length of the straight segment ahead. */
 typedef struct place_on_branch {
     dehyst_real v, slope, room;
 } place_on_branch;
@@ -168,7 +168,7 @@ void BUILD(dehyst_elements_simulate)(const dehyst_plain *plain, dehyst_plain_sta
             y[t] = x;
             continue;
         }
-        /* Where a motion turns, all elements stick. */
+        /* At a turn of the motion, all elements stick. */
         way = d * (given - held) / (d == last ? slope : stiffest);
         for (tries = 0; tries < TRIES; tries++) {
             const place_on_branch at = branch_at(&lanes, &cells, x + d * way, d);

@@ -5,8 +5,8 @@
 #include "dehyst_records.h"
 #include "internal.h"
 
-/* Return the cell of 2 phi(u / 2) that holds u >= 0. Rounding of huge displacements may leave any u, also NaN: a
- * conversion to int is defined only where it fits. */
+/* Return the cell of 2 phi(u / 2) that holds u >= 0. Rounding of huge displacements may give any u, even NaN, and a
+ * conversion to int is defined only for values that fit. */
 static inline int cell_of(const dehyst_slip *slip, dehyst_real u, int hint)
 {
     if (slip->inverse_step > 0) {
@@ -16,7 +16,7 @@ static inline int cell_of(const dehyst_slip *slip, dehyst_real u, int hint)
     return count_below(slip->edge, slip->size, u, hint);
 }
 
-/* Return 2 phi(u / 2): how far the slip voltage has changed on a branch that is u long (Masing). */
+/* Return 2 phi(u / 2): the change of the slip voltage on a branch of length u (Masing). */
 static inline dehyst_real masing_branch(const dehyst_slip *slip, int cell, dehyst_real u)
 {
     return slip->intercept[cell] + slip->stiffness[cell] * u;
@@ -28,19 +28,19 @@ static inline const dehyst_reversal *joint(const dehyst_stack *stack)
     return stack->depth >= 3 ? stack->reversal + stack->depth - 2 : NULL;
 }
 
-/* Turn at the stack's place; `slip_voltage` is the voltage of the elements there. */
+/* Turn at the present place of the stack; `slip_voltage` is the voltage of the elements there. */
 void dehyst_stack_turn(const dehyst_slip *slip, dehyst_stack *stack, dehyst_real slip_voltage);
 
-/* A straight piece of the present branch: y = start + (v - v_start) / slope until v reaches v_end. From any of its
- * points the way back is elastic while no cart moves, down to `bottom`, a place times the direction. */
+/* A straight piece of the present branch: y = start + (v - v_start) / slope until v reaches v_end. From each of its
+ * points the way back is elastic and moves no cart, down to `bottom`, which is a place times the direction. */
 typedef struct piece {
     dehyst_real start, v_start, inverse_slope, v_end, inverse_elastic, bottom;
     int cell, j;
     int ends_at_knot; /* the next piece lies in the next segment of the spring; else in the next cell */
 } piece;
 
-/* A simulation on the stack whose voltages are not known ahead. Until it ends, the stack holds the farthest point of
- * its branch. */
+/* A simulation on the stack that gets its voltages one by one. Until it ends, the stack holds the farthest point of
+ * the branch. */
 typedef struct dehyst_walk {
     const dehyst_plain *plain;
     dehyst_stack *stack;

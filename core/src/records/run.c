@@ -1,7 +1,7 @@
 #include "branch.h"
 #include "reversals.h"
 
-/* Samples of one block: few enough to stay in the nearest cache and on a small processor's stack. */
+/* Number of samples of a block: it fits into the first-level cache and the stack of a small processor. */
 #define BLOCK 64
 /* Runs shorter than this are not worth a stack of reversals. */
 #define SHORT 12
@@ -15,7 +15,7 @@ long dehyst_equal_steps(const dehyst_real *time, long first, long n)
     return t;
 }
 
-/* Look up n values in place. */
+/* Replace n values by their values on a curve. */
 static void map(const dehyst_curve *curve, dehyst_real *a, long n)
 {
     int j = curve->size / 2;
@@ -113,7 +113,7 @@ static int simulate_on_stack(const dehyst_actuator *actuator, const dehyst_trans
     return 1;
 }
 
-/* On entry y holds tau(v). Each element is on its cart; samples that stay on a straight segment touch none. */
+/* On entry y holds tau(v). The elements are computed by carts; samples on one straight segment move no cart. */
 static void simulate_on_branches(const dehyst_actuator *actuator, const dehyst_transition *step, dehyst_state *state,
                                  dehyst_workspace *workspace, const dehyst_real *load, dehyst_real *y, long n)
 {

@@ -1,13 +1,13 @@
 #include "reversals.h"
 #include "turning.h"
 
-/* Samples on the carts between two attempts to encode a state that has no stack yet. */
+/* Number of samples on the carts between two attempts to convert a state to a stack. */
 #define BLOCK 256
 
 static dehyst_real distance(const dehyst_reversal *a, const dehyst_reversal *b) { return magnitude(a->y - b->y); }
 
-/* A branch that has moved every cart forgets the reversals below it. Of three successive nested amplitudes in one cell
- * the two middle reversals bound a loop that is a straight line for every element. */
+/* A branch that has moved every cart deletes the reversals below it. If three successive nested amplitudes lie in one
+ * cell, the two middle reversals bound a loop that is a straight line for every element. */
 void dehyst_stack_turn(const dehyst_slip *slip, dehyst_stack *stack, dehyst_real slip_voltage)
 {
     dehyst_reversal *r = stack->reversal;
@@ -19,10 +19,10 @@ void dehyst_stack_turn(const dehyst_slip *slip, dehyst_stack *stack, dehyst_real
         r[0] = r[1];
         stack->depth = 1;
     }
-    /* On an outermost branch every cart slides, wherever it began: its beginning is put where rounding cannot make the
-     * amplitude look shorter than it takes to move them all. */
+    /* On an outermost branch every cart slides. Its start is set far away, so that rounding cannot make the amplitude
+     * too short to move all carts. */
     if (stack->depth == 1 && slip->size > 0) r[0].y = here.y - stack->direction * 2 * slip->edge[slip->size - 1];
-    /* Amplitudes that rounding has put out of order would need more room than nested ones: the innermost loop goes. */
+    /* Amplitudes out of order due to rounding would need more room than nested ones: the innermost loop is deleted. */
     if (stack->depth >= stack->capacity) stack->depth -= 2;
     r[stack->depth++] = here;
     stack->direction = -stack->direction;
@@ -72,7 +72,7 @@ dehyst_status dehyst_stack_encode(const dehyst_plain *plain, const dehyst_plain_
         cart = state->cart[i];
         total += slip->kappa[i] * slip->rho[i];
     }
-    /* Twice as far as it takes to move every cart: rounding must not make the outermost amplitude look shorter. */
+    /* Twice the distance that moves every cart, so that rounding cannot make the outermost amplitude too short. */
     r[count].y = y - direction * 4 * rho;
     r[count].slip_voltage = -direction * total;
     r[count].v = r[count].slip_voltage + dehyst_curve_at(&plain->spring, r[count].y);
@@ -108,8 +108,8 @@ void dehyst_stack_decode(const dehyst_plain *plain, const dehyst_stack *stack, d
     state->y = stack->y;
 }
 
-/* While a motion turns back by no more than edge_0 from the farthest point of its branch, nor to where that began, no
- * cart moves, and the motion stays on the branch: noise on a path costs no reversals. */
+/* While a motion goes back by at most edge_0 from the farthest point of its branch, and not to the start of the branch,
+ * no cart moves and the motion stays on the branch: noise on a path makes no reversals. */
 void dehyst_stack_compensate(const dehyst_plain *plain, dehyst_stack *stack, const dehyst_real *y, dehyst_real *v,
                              long n)
 {
@@ -118,7 +118,7 @@ void dehyst_stack_compensate(const dehyst_plain *plain, dehyst_stack *stack, con
     const dehyst_real elastic = slip->stiffness[0], width = slip->edge[0];
     dehyst_reversal from = stack->reversal[stack->depth - 1];
     dehyst_real direction = stack->direction, present = stack->y, voltage = stack->v;
-    /* Places times the direction: where the branch began, and how far it got. */
+    /* Start and farthest point of the branch, times the direction. */
     dehyst_real began = direction * from.y, far = direction * present;
     int cell = cell_of(slip, far - began, 0), j = segment(spring, present, 0);
     long t = 0;
@@ -139,7 +139,7 @@ void dehyst_stack_compensate(const dehyst_plain *plain, dehyst_stack *stack, con
         cell = cell_of(slip, ahead - began, cell);
         j = segment(spring, goal, j);
         {
-            /* In registers, until a sample leaves the branch, the cell or the segment. */
+            /* This loop runs in registers until a sample leaves the branch, the cell or the segment. */
             const dehyst_real intercept = slip->intercept[cell], stiffness = slip->stiffness[cell];
             const dehyst_real edge = slip->edge[cell];
             const dehyst_real knot = spring->knot[j], value = spring->value[j], slope = spring->slope[j];
@@ -180,9 +180,9 @@ static void run(const dehyst_plain *plain, dehyst_plain_state *state, dehyst_sta
     }
 }
 
-/* Fewer samples do not show how often a path turns. */
+/* Least number of samples that show how often a path turns. */
 #define FEW 64
-/* More elements take longer to solve on their carts than on the stack. */
+/* Largest number of elements that are faster on carts than on the stack. */
 #define MOST_SOLVED 32
 
 void dehyst_plain_compensate_run(const dehyst_plain *plain, dehyst_plain_state *state, dehyst_stack *work,
@@ -202,7 +202,7 @@ void dehyst_plain_simulate_run(const dehyst_plain *plain, dehyst_plain_state *st
     const dehyst_curve *spring = &plain->spring;
     const int last = spring->size - 1;
     if (n >= FEW && slip->size > 0 && slip->size <= MOST_SOLVED) {
-        /* Back over twice the shortest element, where all stick. */
+        /* A motion back over twice the shortest breakaway elongation, in which all elements stick. */
         const dehyst_real slope = (spring->value[last] - spring->value[0]) / (spring->knot[last] - spring->knot[0]);
         if (dehyst_turns_often(plain, v, n, 2 * slip->rho[0] * (slope + slip->stiffness[0]))) {
             dehyst_elements_simulate(plain, state, v, y, n);

@@ -18,7 +18,7 @@ static int segment_at_voltage(const dehyst_plain *plain, const dehyst_stack *sta
     int forward = direction > 0, tries = 0;
     int near = segment(spring, y, last->j), far = forward ? spring->size - 2 : 0;
     while (near != far) {
-        /* Neighbours first, then bisection: near is passed only when its far end lies before v. */
+        /* Neighbours are tried first, then bisection; `near` advances only if its far end lies before v. */
         int middle = tries++ < 2 ? near : near + (far - near) / 2, knot = middle + forward;
         dehyst_real at = spring->knot[knot];
         dehyst_real reached = direction * (at - y) <= 0
@@ -51,8 +51,8 @@ static int cell_at_voltage(const dehyst_plain *plain, const dehyst_stack *stack,
     return near;
 }
 
-/* Compute the piece of the present branch in one cell and one segment. Written in place: pieces returned by value are
- * copied by wider loads than the stores before them, which stalls the processor at every change of piece. */
+/* Compute the piece of the present branch in one cell and one segment. It is written in place: a returned piece would
+ * be copied by wider loads than the stores before them, which stalls the processor at every change of piece. */
 static void piece_in(const dehyst_plain *plain, const dehyst_stack *stack, int cell, int j, piece *found)
 {
     const dehyst_slip *slip = &plain->slip;
@@ -81,7 +81,7 @@ static void piece_in(const dehyst_plain *plain, const dehyst_stack *stack, int c
     if (stack->depth >= 3 && direction * (from[-1].v - found->v_end) < 0) found->v_end = from[-1].v;
 }
 
-/* Move to the piece of the present branch, at or beyond the present place, that holds v. */
+/* Move to the piece of the present branch that holds v; it lies at or beyond the present place. */
 static void find_piece(const dehyst_plain *plain, const dehyst_stack *stack, dehyst_real v, piece *now)
 {
     const dehyst_reversal *from = stack->reversal + stack->depth - 1;
@@ -90,7 +90,7 @@ static void find_piece(const dehyst_plain *plain, const dehyst_stack *stack, deh
     piece_in(plain, stack, cell_at_voltage(plain, stack, v, j, cell), j, now);
 }
 
-/* Compute the piece that follows `now` on its branch, if one does, ahead of need: nothing then waits for it. */
+/* Compute the piece that follows `now` on its branch, if there is one, in advance: nothing waits for it later. */
 static void look_beyond(const dehyst_plain *plain, const dehyst_stack *stack, const piece *now, piece *ahead)
 {
     int forward = stack->direction > 0 ? 1 : -1;
@@ -111,7 +111,7 @@ void dehyst_walk_begin(dehyst_walk *walk, const dehyst_plain *plain, dehyst_stac
     walk->v = stack->v;
 }
 
-/* Put the walk on the piece that holds v, from the farthest point of the stack's branch on. */
+/* Move the walk to the piece that holds v, at or beyond the farthest point of the branch. */
 static void find_way(dehyst_walk *walk, dehyst_real v)
 {
     const dehyst_plain *plain = walk->plain;
@@ -139,8 +139,8 @@ static void find_way(dehyst_walk *walk, dehyst_real v)
     walk->on_piece = 1;
 }
 
-/* Return whether the piece, or the elastic way back from the farthest point of its branch, leads to v, and where.
- * `place` and `far` are v and the voltage of that point times the direction. On the way back no cart moves: the motion
+/* Return whether the piece, or the elastic way back from the farthest point of its branch, reaches v; set y there.
+ * `place` and `far` are v and the voltage of that point, times the direction. On the way back no cart moves: the motion
  * stays on the branch, as in dehyst_stack_compensate. */
 static inline int onward(const piece *now, dehyst_real direction, dehyst_real width, dehyst_real place,
                          dehyst_real *far, dehyst_real *y_far, dehyst_real *y)
@@ -148,7 +148,7 @@ static inline int onward(const piece *now, dehyst_real direction, dehyst_real wi
     const dehyst_real ahead = place > *far ? place : *far;
     const dehyst_real y_ahead = now->start + (direction * ahead - now->v_start) * now->inverse_slope;
     const dehyst_real back = (ahead - place) * now->inverse_elastic;
-    /* No comparison with NaN holds. */
+    /* Every comparison with NaN is false. */
     if (!(ahead < direction * now->v_end && back <= width && direction * y_ahead - back >= now->bottom)) return 0;
     *far = ahead;
     *y_far = y_ahead;
@@ -156,7 +156,7 @@ static inline int onward(const piece *now, dehyst_real direction, dehyst_real wi
     return 1;
 }
 
-/* Go on to another piece, which holds v. */
+/* Move to another piece, which holds v. */
 static void leap(dehyst_walk *walk, dehyst_real v)
 {
     find_way(walk, v);
