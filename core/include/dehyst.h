@@ -77,7 +77,7 @@ typedef enum dehyst_offer {
 
 /* Everything that changes in a loop, except its memory. */
 typedef struct dehyst_loop {
-    dehyst_real w, y, rate; /* displacement of the elements; with inertia, that of the mass y and y'/omega [m] */
+    dehyst_real w, y, rate; /* displacement of the elements; with inertia, displacement y and y'/omega of the mass */
     dehyst_real input;      /* with inertia, its input at the last step [m] */
     dehyst_real gain, offset; /* displacement = offset + gain times the model's displacement; 1 and 0 m at the start */
     dehyst_real driven;     /* the displacement that drives creep behind the elements [m] */
@@ -167,11 +167,11 @@ typedef struct dehyst_feedback {
 dehyst_status dehyst_feedback_begin(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
                                     dehyst_real gain, dehyst_real bound, int late, dehyst_feedback *feedback);
 /* Return the correction [m] to add to the wanted displacement of this period. Call it once a period, before the step or
- * the offer. An error due to limits or slew rate is not corrected. Without readings the correction is held, after a
- * cycle its mean. If the sensor contradicts the model over a cycle, the correction returns to 0 and the sensor is no
- * longer believed. On a path that repeats, a growing mismatch starts a trial: three cycles without a correction, then
- * one with it. A mismatch that disappears after the correction, or returns with it, is the echo of a sensor that is
- * late by whole cycles.
+ * the offer. An error due to limits or slew rate is not corrected. Without readings, the last correction is held for a
+ * cycle, and then its mean. If the sensor contradicts the model over a cycle, the correction returns to 0 and the
+ * sensor is no longer believed. On a path that repeats, a growing mismatch starts a trial: three cycles without a
+ * correction, then one with it. A mismatch that disappears after the correction, or returns with it, is the echo of a
+ * sensor that is late by whole cycles.
  * @param measured displacement [m] after all voltages sent so far; not a number: no reading */
 dehyst_real dehyst_feedback_correct(const dehyst_model *model, const dehyst_loop *loop, const dehyst_real *memory,
                                     dehyst_feedback *feedback, dehyst_real measured);

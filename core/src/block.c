@@ -40,7 +40,7 @@ static void put_word(unsigned char *bytes, uint32_t word)
     for (i = 0; i < 4; i++) { bytes[i] = (unsigned char)(word >> (8 * i)); }
 }
 
-/* Round the bits of a double to those of a float, to nearest, ties to even; too large becomes infinite. */
+/* Round the bits of a double to the bits of a float, to nearest, ties to even; too large numbers become infinite. */
 static uint32_t single_of(uint64_t bits)
 {
     const uint32_t sign = (uint32_t)(bits >> 32) & 0x80000000u;
@@ -207,7 +207,7 @@ static void walk_elements(cursor *c, dehyst_actuator *a, const uint32_t *size)
     some(c, &a->transformer.value, size[BENDS]);
 }
 
-/* Read or write all numbers of a model; `id_end` is where those of its loop begin. */
+/* Read or write all numbers of a model; `id_end` is the place where the numbers of its loop begin. */
 static void walk_model(cursor *c, dehyst_model *m, const uint32_t *size, const unsigned char **id_end)
 {
     dehyst_actuator *a = &m->actuator;

@@ -187,7 +187,7 @@ static branch_segment meet(const dehyst_actuator *actuator, const dehyst_state *
     return ahead;
 }
 
-/* Step over several events if this does not pass the solution, or else over the next event. `beyond` lies past it. */
+/* Step over several events; if this would pass the solution, over the next event. `beyond` lies past the solution. */
 static branch_segment hop(const dehyst_actuator *actuator, const dehyst_state *state, dehyst_real drive,
                           dehyst_real stiffness, dehyst_real direction, dehyst_real goal, dehyst_real event,
                           dehyst_real *w, dehyst_real *beyond)

@@ -111,7 +111,7 @@ def _way(actuator: Actuator, state: State, voltage: float, limits: tuple[float, 
     if np.allclose(strain, -most, rtol=1e-9, atol=0):
         return f"lower the voltage slowly from its highest, never back, to {end}{rest}"
     if not strain.any():
-        return f"swing the voltage about {end}, each swing smaller than the one before, until it rests there{rest}"
+        return f"swing the voltage about {end} with decreasing amplitude until it rests there{rest}"
     low, high = limits
     for limit, rising in ((low, False), (high, True)):
         near = abs(voltage - limit) <= NEAR * (high - low)

@@ -31,7 +31,7 @@ _HEADERS = (
 
 
 def demand_name(name: object) -> None:
-    """Raise an error for a name that cannot be the name of a C type beside the core.
+    """Raise an error for a name that cannot be the name of a C type in an export.
 
     Raises
     ------

@@ -15,7 +15,7 @@ from dehyst.model import Dynamics
 from dehyst.records import Record, cleaned, counting, gaps, noise_span, reversals, turning_points, white_noise
 
 _BINS = 64
-# Displacements in a hole show a reversal if they exceed those beside the hole by this part of the stroke.
+# Displacements in a hole show a reversal if they exceed the displacements at its ends by this part of the stroke.
 _TURN = 0.02
 # Least rate of the voltage on both sides of a gap, as a part of its mean rate in the gap, that excludes a reversal.
 _ALIKE = 0.5
@@ -57,7 +57,7 @@ def rest_at_ends(record: Record) -> tuple[int, int]:
     if record.time[-1] - record.time[stop - 1] < least or _creeps(rest, record):
         stop = size
     if counted is not None:
-        # A step at the end of a rest or into a rest belongs to it.
+        # The step at either end of a rest belongs to the rest.
         aside = np.flatnonzero(~counted)
         start = _beyond(aside, start) if start else start
         stop = size - _beyond(size - 1 - aside[::-1], size - stop) if stop < size else stop

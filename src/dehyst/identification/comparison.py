@@ -428,7 +428,7 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
 
 
 def along_the_way(trace: Trace) -> float:
-    """Return the RMS residual [m] over the way of the voltage, on which fast branches count as much as slow ones."""
+    """Return the RMS residual [m] over the travel of the voltage, in which fast branches count like slow ones."""
     way = np.abs(np.diff(trace.voltage, prepend=trace.voltage[0])) + 1e-300
     return float(np.average(trace.residual**2, weights=way) ** 0.5)
 

@@ -298,7 +298,7 @@ class _Run:
         return self.temperatures.sentence(made.frame.motion, {name: made.spread(name) for name in names}, better)
 
     def caveats(self, actuator: Actuator, missed: float) -> tuple[list[str], bool]:
-        """Return reasons for care, and whether the records leave open if actuator or sensor lags."""
+        """Return reasons for care, and True if the records do not show whether actuator or sensor lags."""
         caveats = [self.left_out] if self.left_out else []
         step = max(resolution(item.record.voltage)[1] for item in self.training)
         if step > RULES.coarse_voltage:

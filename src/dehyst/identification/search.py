@@ -241,7 +241,7 @@ def moving(
     if "delay" in late.names and (late is best or too_long) and at.delay >= frame.times[0]:
         slow = replace(late.frame, motion=replace(at, delay=0.0, lag=max(at.delay, 0.0)))
         best = _best([best, search.tried(slow, ("lag", *search.own(late, "delay")), near=late.found)])
-    # Creep shows in rests. Without rests usual creep may be hidden: the largest that does not raise the held-out error.
+    # Creep shows in rests. Without rests, `hidden` is the largest usual creep that does not raise the held-out error.
     for rate in _USUAL_CREEP if more and "creep" not in best.names and not any(frame.rests) else ():
         creeping = replace(best.frame, motion=replace(best.frame.motion, gains=np.full_like(tau, rate / A_DECADE)))
         made = fitted(creeping, _LIGHT, FEW, (*best.names, "creep_before"), _TURNS, best.found)
@@ -325,8 +325,8 @@ def static(
     first, *others = structures
     best = solved(first)
     if structures is WIDE:
-        # Smooth elements leave inner loops open, so that they must lower the held-out error. Creep found with smooth
-        # elements differs from creep without them, so that both solutions have moving parts of their own.
+        # Inner loops do not close with smooth elements: therefore these must lower the held-out error. Creep differs
+        # with and without smooth elements: therefore the moving parts are fitted again.
         closed = solved(replace(first, smooth=False), best if {*names} <= {*_OF_RECORDS} else None)
         if best.held_out >= RULES.static_gain * closed.held_out:
             best, others = closed, [replace(structure, smooth=False) for structure in others]

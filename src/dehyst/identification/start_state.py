@@ -29,7 +29,7 @@ _GOOD = 5e-3
 # Largest number of steps; the search ends if a step lowers the sum of squares by less than this part; a step may raise
 # it by this rounding error, so that open directions do not depend on the last bit.
 _STEPS, _WORTH, _SAME_COST = 12, 1e-4, 1e-9
-# Weights of the differences of neighbouring carts, over that of the rows; the second is for carts fitted each alone.
+# Weights of the differences of neighbouring carts, relative to the rows: carts of a history, and carts fitted alone.
 _ALIKE, _HARDLY = 1e-2, 1e-9
 # Step for numerical slopes, and tolerance of the search, of the elongation of a smooth element over its length.
 _NEAR = 1e-3

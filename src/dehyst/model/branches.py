@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # A voltage turns where it reverses by this part of the range. Branches count as equal up to a quarter of this part.
 BAND = 0.02
-# Cells on each side of the plane of turning points; a branch also tests this number of cells beside it (5 % of range).
+# Number of cells along each side of the plane of turning points; number of cells around a branch that it also tests.
 CELLS, _AROUND = 40, 2
 # A voltage rests where it moves at less than this part of the mean speed of its branch.
 _AT_REST = 0.1
@@ -30,7 +30,7 @@ _AT_REST = 0.1
 ALIKE, _BEYOND, _DRIFTS = 1.5, 0.02, 2.0
 # Least voltage range of an excitation that tests a rate, as a part of the voltage range of the records.
 _NARROWEST = 0.1
-# Frequency [Hz] of an excitation without an option; spare of a sample rate.
+# Frequency [Hz] of an excitation without an option; factor by which a sample rate exceeds the least possible rate.
 _FREQUENCY, _SPARE = 0.1, 1.1
 
 

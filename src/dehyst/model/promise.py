@@ -79,8 +79,8 @@ _FASTER, _OFTENER, _GROWTH = 0.4, 3.0, 0.6
 # Ratio of largest to mean speed of a branch; of RMS to largest error from a lag; of the largest difference of a delay
 # and a low-pass after a turn to the lag times the speed. Ages, in time constants, of equal parts of a low-pass's input.
 _PEAK, _LATE_RMS, _AT_A_TURN, _MEMORY = 1.9, 0.5, 2 * float(np.exp(-1.0)), -np.log1p(-(np.arange(16) + 0.5) / 16)
-# Powers of the ratios: range of a path to mean height of its branches; range of path to records; longest hold of path
-# to records, up to a largest ratio. The last factor is exp(this times the part of the time at rest).
+# Powers of three ratios: range of a path / mean height of its branches; range of the path / range of the records;
+# longest hold of the path / of the records, with a largest ratio. Power of e over the share of time at rest.
 _PLACES, _RANGE, _HOLD, _LONGEST, _RESTING = 0.35, 0.7, 0.07, 20.0, 0.35
 # Error of a path that lasts a decade longer than the records show creep, as a part of the creep per decade.
 _SLOWER = 0.3
@@ -451,8 +451,8 @@ def _kind(validity: Validity, voltage: Array, time: Array | None, at: NDArray[np
 def _late(validity: Validity, speed: float, voltage: Array, time: Array) -> float:
     """Return the largest error [m] of a path from a wrong lag and from a wrong form of the lag.
 
-    A lag whose source is open counts as right. The form may be a delay or a low-pass with the same lag: their
-    difference counts if it is larger than at a turn of the records.
+    If the source of the lag is open, a wrong lag adds nothing. The form may be a delay or a low-pass with the same lag:
+    their difference counts if it is larger than at a turn of the records.
     """
     lag, per_volt = validity.lag, validity.stroke / validity.span
     fastest = validity.speeds[1] * per_volt

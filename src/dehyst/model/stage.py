@@ -166,7 +166,7 @@ class Stage(JsonFile):
         temperature : float, (n,) or (n, axes) array_like, optional
             [degC], of all actuators or of each; those without the part `thermal` ignore it. Default: their reference.
         states : sequence of State, optional
-            Start of each actuator; default: its own.
+            Start of each actuator; default: the state of the actuator.
         extrapolate : bool, optional
             As in `Actuator.simulate`.
 

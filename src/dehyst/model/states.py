@@ -30,7 +30,7 @@ _REST = 1e9
 # Number of visits of the limits in slow loops: smooth elements forget their start slowly.
 _VISITS = 60
 _ROUNDING = 1e-12
-# A state whose voltage exceeds the limits by less than this part of their range counts as at the limit: the model errs.
+# A state with a voltage beyond the limits by less than this part of their range counts as at the limit.
 NEAR = 0.01
 
 

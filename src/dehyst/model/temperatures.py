@@ -102,7 +102,7 @@ class TemperatureCost:
 
     @cached_property
     def kelvins(self) -> Array:
-        """Distance [K] from the tested temperatures, one or one per sample; an unknown one may be at either end."""
+        """Distance [K] from the tested temperatures, one or one per sample; if unknown, of them from the reference."""
         if self.tested is None:
             return np.zeros(())
         low, high = self.tested

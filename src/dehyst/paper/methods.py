@@ -177,7 +177,7 @@ def identify(records: Record | Sequence[Record], *, elements: int = 10) -> Paper
 
 
 def _grid(major: BreakPointLoop, elements: int) -> Array:
-    """Return the breakaway elongations (N,) [m] whose break points are equally spaced."""
+    """Return the breakaway elongations (N,) [m] that give equally spaced break points."""
     return np.asarray(major.range / (2 * elements) * np.arange(1, elements + 1), dtype=np.float64)
 
 

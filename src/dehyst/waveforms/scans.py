@@ -216,8 +216,8 @@ class Raster(Scan):
     ----------
     lines : int
         2 or more. y moves to the next line, with least jerk, while x returns. After the last line y returns to the
-        first line in the least number of lines that the limits allow. Without limits, those are the largest speed and
-        acceleration of x.
+        first line in the least number of lines that the limits allow. Without limits, the largest speed and
+        acceleration of x are the limits.
     y_low, y_high : float, optional
         Positions of the first and the last line [m]; by default `low` and `high`.
     """
