@@ -243,30 +243,33 @@ def test_limits_and_slew_rate_in_force_are_fields_and_notes_if_others_were_given
     assert [len(found) for found in notes.values()] == [0, 1, 0, 0]
 
 
-def test_the_status_of_a_clamped_path_is_1(folder):
-    status, out, _ = run(*WORDS, "--limits", "0", "90", "--json", cwd=folder)
-    assert status == 1
-    assert json.loads(out)["clamped"] > 0
-
-
 def test_nothing_winds_up_while_the_voltage_of_a_late_stage_is_slewed(folder):
     (folder / "late.py").write_text(LATE)
-    steps = np.repeat([3.0, 8, 4, 9, 5, 11], 100)
-    write_columns(folder / "steps.csv", {"time_s": 0.01 * np.arange(600), "displacement_um": steps})
-    words, errors = ("late.py:make", "--model", "model.json", "--path", "steps.csv", "--slew-rate", "400"), []
+    wanted, errors = np.repeat([3.0, 8, 4, 9, 5, 11], 100), []
+    write_columns(folder / "steps.csv", {"time_s": 0.01 * np.arange(600), "displacement_um": wanted})
+    words = ("late.py:make", "--model", "model.json", "--path", "steps.csv", "--slew-rate", "400")
     for more in ((), ("--feedback",)):
-        assert json.loads(run("follow", *words, *more, "-o", "steps", "--json", cwd=folder)[1])["clamped"] > 50
+        status, out, _ = run("follow", *words, *more, "-o", "steps", "--json", cwd=folder)
+        assert status == 1 and json.loads(out)["clamped"] > 50
         record = dehyst.read(folder / "steps" / "record.csv")
-        error = record.displacement[-600:] - 1e-6 * record.others[0].values[-600:]
-        errors.append(np.std(error.reshape(6, 100)[:, 60:]))
+        errors.append(np.std((record.displacement[-600:] - 1e-6 * wanted).reshape(6, 100)[:, 60:]))
     assert errors[1] < 2 * errors[0]
+
+
+def test_a_path_takes_its_time_at_the_rate_that_a_rig_can_play(folder):
+    wanted = 7 - 3 * np.cos(2 * np.pi * np.arange(801) / 800)
+    write_columns(folder / "fine.csv", {"time_s": 0.0025 * np.arange(801), "displacement_um": wanted})
+    run("follow", *WORDS[1:4], "--path", "fine.csv", "--feedback", "-o", "fine", cwd=folder)
+    record = dehyst.read(folder / "fine" / "record.csv")
+    assert 1e6 * record.displacement[-401:] == pytest.approx(wanted[::2], abs=0.05)
+    assert np.ptp(record.time[-401:]) == pytest.approx(2.0, rel=0.01)
 
 
 def test_an_error_above_the_promise_has_a_cause(folder):
     followed = FollowedPath(None, dehyst.Actuator.load(folder / "model.json"), [], 50.0, np.zeros((2, 1)), 2)
-    causes = (3, 0, 0.1, "slew"), (0, 3, 0.1, "limits"), (0, 0, 0.1, "late"), (0, 0, 0.01, "stage")
-    for slewed, limited, late, word in causes:
-        followed.clamps, followed.late = Clamps(limited, slewed), late
+    cases = {"slew": ((0, 3), 0.1), "limits": ((3, 0), 0.1), "late": ((0, 0), 0.1), "stage": ((0, 0), 0.0)}
+    for word, (clamps, late) in cases.items():
+        followed.clamps, followed.late = Clamps(*clamps), late
         assert word in followed.cause
 
 

@@ -113,7 +113,6 @@ REFUSED = {
     f"{TRIANGLE} -o out.csv --acceleration -3": ("acceleration", "got -3,"),
     "insight stage.json loops.csv": ("", 'Give the axis as "x=VOLTAGE:DISPLACEMENT" (--columns'),
     f"{FOLLOW} path.csv --repeat 0": "repeat",
-    f"{FOLLOW} fast.csv --feedback": ("path", "200 Hz"),
     f"{FOLLOW} untimed.csv": ("path", "--columns rate"),
     f"{FOLLOW} point.csv": ("", "1 sample"),
 }
@@ -154,7 +153,6 @@ def folder(tmp_path_factory):
     write_columns(place / "timeless.csv", {"voltage_V": 10 * path})
     write_columns(place / "volts.csv", {"voltage_V": np.array([0.0, 2e5, 3e4])})
     write_columns(place / "back.csv", {"time_s": np.roll(time, 1), "displacement_um": path})
-    write_columns(place / "fast.csv", {"time_s": 0.1 * time, "displacement_um": path})
     write_columns(place / "point.csv", {"time_s": np.zeros(1), "displacement_um": np.ones(1)})
     rigs = "from dehyst.instruments.simulated import SimulatedRig\nfrom dehyst.virtual import PlayActuator\n"
     rigs += "def alone(**options):\n    return SimulatedRig(PlayActuator(), **options)\n"

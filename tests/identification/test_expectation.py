@@ -80,8 +80,8 @@ def test_held_out_parts_count_where_they_are_worse():
 
 def test_fast_branches_count_as_much_as_slow_ones():
     time, voltage = np.append(np.arange(200.0), 200 + 0.1 * np.arange(200)), np.tile(np.r_[0:100, 100:0:-1], 2)
-    error = np.where(time < 200, 0.0, 1e-8)
-    assert along_the_way(trace(Record(time, voltage, 1e-7 * voltage), error)) == pytest.approx(1e-8 / 2**0.5, rel=0.01)
+    made = trace(Record(time, voltage, 1e-7 * voltage), np.where(time < 200, 0.0, 1e-8))
+    assert along_the_way(made) == pytest.approx(1e-8 / 2**0.5, rel=0.01)
 
 
 def test_structures_that_disagree_widen_a_promise_where_the_records_did_not_turn():

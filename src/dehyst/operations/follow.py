@@ -27,7 +27,7 @@ from dehyst.records import largest, rms
 from dehyst.report.html import document, words
 from dehyst.report.sections import followed as followed_sections
 
-# Part by which a rate may differ without a remark.
+# Part by which a rate may differ without a remark, and of a sample that is rounding.
 _RATES = 0.01
 # Most repetitions that learn by default.
 _MOST = 20
@@ -64,9 +64,6 @@ def follow(
     if not clock:
         raise RecordError(argument="path", got="no times", need="a time of each sample", hint="give --columns rate=HZ")
     rate = even_rate(path, clock["time_s"])
-    if feedback and rate > HIGHEST_RATE * (1 + _RATES):
-        hint = "give a slower path, or --learn"
-        raise RecordError(argument="path", got=f"{rate:.6g} Hz", need="200 Hz at most with feedback", hint=hint)
 
     def judge(plan: PathPlan) -> None:
         parts = plan.each or (plan,)
@@ -86,9 +83,10 @@ def follow(
         bounds = _bounds(run, known, instrument, allowed, slews)
         played = min(rate, HIGHEST_RATE) if feedback else played_rate(instrument, rate)
         if abs(played / rate - 1) > _RATES:
-            seconds = (len(wanted) - 1) / np.array([rate, played])
-            words = f"played in {seconds[1]:.4g} s, at {played:.6g} Hz in place of {rate:.6g}, as {instrument.name} can"
-            run.note(f"the path of {seconds[0]:.4g} s is {words}; fewer samples would keep its speed")
+            run.note(f"played at {played:.6g} Hz in place of {rate:.6g}, as {instrument.name} can, in the same time")
+            at, rows = np.arange(0, (len(wanted) - 1) * played / rate + _RATES) * rate / played, np.arange(len(wanted))
+            wanted = np.column_stack([np.interp(at, rows, column) for column in wanted.T])
+            warmth = np.interp(at, rows, warmth) if isinstance(warmth, np.ndarray) else warmth
         size = len(wanted)
         if learn or (repeat or 1) > 1:
             wanted = closed_path(wanted)
