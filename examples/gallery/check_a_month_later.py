@@ -2,7 +2,7 @@
 Check a model a month later
 ===========================
 
-Record a few loops and compare: is the model still true, and if not, what has changed?
+Record a few loops and check: is the model still true, and if not, what has changed?
 """
 
 from textwrap import fill
@@ -22,7 +22,7 @@ record = dehyst.Record(tops.time, tops.voltage, stage.play(tops.voltage), name="
 actuator = dehyst.identify(record).actuator
 
 # %%
-# The same stage, one whose gain has grown by 2 %, and one whose loop is wider.
+# Three stages: the same as before, one with 2 % more gain, and one with a wider loop.
 later = {
     "the same": PlayActuator(seed=1),
     "gain + 2 %": PlayActuator(seed=2, stroke=1.02 * stage.stroke),
@@ -35,7 +35,8 @@ for name, today in later.items():
         print(fill(sentence, 85, subsequent_indent="    "))
 
 # %%
-# The difference of measured and simulated displacement, for each stage: a slope is gain, a loop is width.
+# The difference of measured and simulated displacement of each stage: a slope shows a change of gain, a loop one of
+# width.
 figure, axes = plt.subplots(1, len(later), figsize=(11, 4), sharey=True)
 for panel, (name, today) in zip(axes, later.items(), strict=True):
     measured = today.play(loops.voltage)

@@ -2,7 +2,7 @@
 In a control loop, step by step
 ===============================
 
-One voltage a period. What cannot be reached is clamped and counted, and the memory stays true.
+A loop sends one voltage per period. A displacement out of reach is clamped and counted, and the memory stays true.
 """
 
 import warnings
@@ -20,13 +20,13 @@ record = dehyst.Record(tops.time, tops.voltage, stage.play(tops.voltage), name="
 actuator = dehyst.identify(record).actuator
 
 # %%
-# The stage and the model are brought to the same state: up and down.
+# A motion up and down brings stage and model to the same state.
 homing = np.concatenate([np.linspace(0, 200, 400), np.linspace(200, 0, 400)])
 stage.play(homing)
 homed = actuator.simulate(homing).state
 
 # %%
-# Sines that grow beyond what 150 V can reach. ``step`` returns the voltage to send now.
+# The sines grow beyond the reach of 150 V. ``step`` returns the voltage to send now.
 compensator = dehyst.Compensator(actuator, limits=(0, 150), period=1e-3, state=homed)
 time = 1e-3 * np.arange(2000)
 wanted = 6e-6 + np.linspace(2e-6, 8e-6, time.size) * np.sin(2 * np.pi * 3 * time)
@@ -36,7 +36,7 @@ with warnings.catch_warnings():
 print(compensator.clamps)
 
 # %%
-# The displacement follows wherever it can, also just after a clamp.
+# The displacement follows where it can be reached, also just after a clamped sample.
 reached = stage.play(sent, measured=False)
 clamped = (sent <= 0) | (sent >= 150)
 figure, (above, below) = plt.subplots(2, 1, figsize=(8, 6), sharex=True)

@@ -2,9 +2,8 @@
 Correct a picture already taken
 ===============================
 
-A scan with a straight gain distorts its picture: forward and backward lines show a thing at two places. With the
-voltages of the scan and a model of the scanner, `simulate` says where each pixel was; each line is resampled at even
-positions.
+A scan with a straight gain distorts its picture: forward and backward lines show an object at two places. From the
+voltages of the scan, `simulate` computes where each pixel was; then each line is resampled at even positions.
 """
 
 import matplotlib.pyplot as plt
@@ -23,7 +22,7 @@ record = dehyst.Record(played.time, played.voltage, scanner.play(played.voltage)
 actuator = dehyst.identify(record, structure="maxwell_slip").actuator
 
 # %%
-# The picture: lines forth and back over a grating of 1 um, taken with a voltage that is a triangle.
+# The picture: forward and backward lines over a grating of 1 um, taken with a triangular voltage.
 
 pixels, lines = 400, 12
 line = np.linspace(20, 180, pixels)
@@ -32,7 +31,7 @@ place = scanner.play(np.concatenate([played.voltage, voltage]), measured=False)[
 picture = (np.sin(2 * np.pi * place / 1e-6) > 0).reshape(2 * lines, pixels)
 
 # %%
-# Position of each pixel by the model, and each line at even positions.
+# The model gives the position of each pixel; then each line is interpolated at even positions.
 
 found = actuator.simulate(np.concatenate([played.voltage, voltage])).displacement[-voltage.size :]
 found = found.reshape(2 * lines, pixels)

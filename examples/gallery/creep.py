@@ -31,7 +31,8 @@ line = next(line for line in fit.summary(full=True).splitlines() if line.strip()
 print(fill(line, 85))
 
 # %%
-# A staircase with other levels and longer holds, predicted from its voltages alone. The plain model has no creep.
+# Both models predict a staircase with other levels and longer holds from its voltages alone. The plain model has no
+# creep.
 plain = dehyst.identify(record, structure="maxwell_slip")
 drive = Sampling(frequency=0.2, sample_rate=rate)
 steps = staircase(160, steps=4, hold=30, drive=drive)
@@ -49,8 +50,8 @@ right.legend()
 plt.show()
 
 # %%
-# Rise to 8 um in five seconds, and stay there for a minute. A model with creep lowers the voltage meanwhile. This stage
-# is not an instance of the model: a part of its creep remains.
+# Rise to 8 um in five seconds, and stay there for a minute. A model with creep lowers the voltage in this minute. This
+# stage is not an instance of the model: a part of its creep remains.
 clock = np.arange(0, 65, 1 / rate)
 wanted = 1e-6 + 7e-6 * (0.5 - 0.5 * np.cos(np.pi * np.minimum(clock / 5, 1)))
 later = time[-1] + (1 + np.arange(clock.size)) / rate

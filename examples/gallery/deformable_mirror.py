@@ -2,7 +2,7 @@
 A deformable mirror
 ===================
 
-A thousand actuators, each with a hysteresis of its own, at a kilohertz: one call a sample.
+A thousand actuators, each with its own hysteresis, run at a kilohertz with one call per sample.
 """
 
 import time
@@ -13,7 +13,7 @@ import numpy as np
 import dehyst
 
 # %%
-# 1000 actuators that differ by some percent, as identified ones do. Each has 10 Maxwell-slip elements.
+# The 1000 actuators differ by a few percent, like identified ones. Each has 10 Maxwell-slip elements.
 random = np.random.default_rng(0)
 knots = np.linspace(0, 1.2e-6, 9)
 
@@ -40,7 +40,7 @@ for row in wanted:
 print(f"{1e6 * np.median(seconds):.0f} µs a step, of 1000 µs")
 
 # %%
-# Motion of the mirror: the voltages of the bank, played on the same actuators, and those of a constant gain.
+# The motion of the mirror with the voltages of the bank, and with those of a constant gain.
 gain = np.array([np.ptp(plant.spring.voltage) / np.ptp(plant.spring.displacement) for plant in actuators])
 errors = {}
 for name in ("constant gain", "compensated"):
@@ -50,8 +50,8 @@ for name in ("constant gain", "compensated"):
     print(f"{name}: {np.sqrt(np.mean(errors[name] ** 2)):.2g} nm RMS")
 
 # %%
-# These actuators are the models themselves, so that the compensated error is zero but for rounding; of measured ones it
-# is the error of the models.
+# These actuators are the models themselves: the compensated error is zero except for rounding. For measured actuators
+# it is the error of the models.
 figure, axes = plt.subplots()
 for (name, error), colour in zip(errors.items(), ("C1", "black"), strict=True):
     lines = axes.plot(np.arange(200), error[:, ::75], color=colour, linewidth=0.8)

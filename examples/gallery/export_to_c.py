@@ -2,7 +2,7 @@
 Export to C
 ===========
 
-Write a compensator for a microcontroller. Its folder checks itself against Python.
+Write a compensator for a microcontroller. Its folder has a check that compares it with Python.
 """
 
 import shutil
@@ -35,7 +35,8 @@ if shutil.which("make") and shutil.which("cc"):
     print(done.stdout)
 
 # %%
-# Flash grows with the number of elements (for a microcontroller: ``arm-none-eabi-size``); a step takes bounded time.
+# Flash grows with the number of elements (for a microcontroller: ``arm-none-eabi-size``); the time of a step is
+# bounded.
 if shutil.which("gcc") and shutil.which("size"):
     taken = {}
     for n, actuator in models.items():

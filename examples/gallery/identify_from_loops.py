@@ -2,7 +2,7 @@
 Identify from loops
 ===================
 
-Fit a model to recorded loops, and test it on loops that it has not seen.
+Fit a model to recorded loops, and test it on held-out loops.
 """
 
 from textwrap import fill
@@ -14,8 +14,8 @@ from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops, raised_cosine
 
 # %%
-# Two large loops, then smaller and smaller ones: they determine all stiffnesses. The loops that are held out have other
-# heights. In place of these lines read your files: ``record = dehyst.read("loops.csv")``.
+# Two large loops and then smaller and smaller ones determine all stiffnesses. The held-out loops have other heights. In
+# place of these lines read your files: ``record = dehyst.read("loops.csv")``.
 stage = PlayActuator()
 sampling = Sampling(sample_rate=4)
 tops = descending_tops(200, drive=sampling)
@@ -29,7 +29,8 @@ fit = dehyst.identify(record, validate=held_out)
 print(fill(fit.summary().splitlines()[0], 85))
 
 # %%
-# Loops of a good fit lie on each other. Without the straight line (left) hysteresis and misfit fill the height.
+# With a good fit, measured and simulated loops coincide. Without the straight line (left), hysteresis and errors are
+# larger in the picture.
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4))
 fit.plot("hysteresis", ax=left)
 fit.plot("residuals", ax=right)

@@ -2,8 +2,8 @@
 A stage that others measured
 ============================
 
-A PICMA P-885.91 stack in a flexure micromanipulator, recorded by Aye and Ang (2018): real noise, drift, a start-up
-transient and a sensor or amplifier that lags. A model is identified from the first part and predicts the rest.
+Aye and Ang (2018) recorded a PICMA P-885.91 stack in a flexure micromanipulator, with noise, drift, a start-up
+transient and a lag of sensor or amplifier. A model is identified from the first part and predicts the rest.
 """
 
 from dataclasses import replace
@@ -15,8 +15,8 @@ import numpy as np
 import dehyst
 
 # %%
-# The files are in the repository, in ``examples/measured/p885``, with their source and licence. ``major`` holds 40
-# cycles of one height, ``ramps`` cycles that shrink and grow again. The model never sees the growing ones.
+# The files are in the repository, in ``examples/measured/p885``, with their source and licence. ``major`` has 40 cycles
+# of one height, ``ramps`` has cycles that shrink and grow again. The growing cycles are held out.
 data = "../measured/p885"
 major, ramps = (dehyst.read(f"{data}/{name}.csv", "voltage=drive_V") for name in ("major", "ramps"))
 known, rest = replace(ramps[:4500], name="shrinking"), replace(ramps[4500:], name="growing")
@@ -24,8 +24,8 @@ fit = dehyst.identify([major, known], validate=rest)
 print(fill(str(fit), 85))
 
 # %%
-# Prediction of the part that the model has not seen, beside the best straight line through the same samples. The
-# sensor's noise reaches 0.5 % of the stroke at its peaks, so little of what is left is the model's.
+# The prediction of the held-out part, beside the best straight line through the same samples. The peaks of the sensor's
+# noise are 0.5 % of the stroke: the model causes only a small part of the remaining error.
 unseen = fit.traces[-1]
 straight = np.polyval(np.polyfit(unseen.voltage, unseen.measured, 1), unseen.voltage)
 figure, (loops, errors) = plt.subplots(1, 2, figsize=(11, 4))

@@ -2,7 +2,7 @@
 Micrometres
 ===========
 
-Inside are metres. With ``units="um"`` you need not convert.
+dehyst computes in metres. With ``units="um"`` you need not convert.
 """
 
 import matplotlib.pyplot as plt
@@ -17,7 +17,7 @@ tops = descending_tops(200, drive=Sampling(sample_rate=4))
 sensor = 1e6 * stage.play(tops.voltage)  # your sensor reads micrometres
 
 # %%
-# ``dehyst.read("loops.csv", "displacement=:um")`` is for a file that does not state the unit.
+# If a file does not state the unit, use ``dehyst.read("loops.csv", "displacement=:um")``.
 record = dehyst.Record.from_arrays(tops.time, tops.voltage, sensor, units="um")
 fit = dehyst.identify(record)
 print(record)
@@ -32,7 +32,7 @@ plan = dehyst.plan_path(compensator, wanted, home=False)
 print(plan.units, plan.displacement[-1], plan.missed)
 
 # %%
-# Plots are in micrometres in any case.
+# Plots are always in micrometres.
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4))
 record.plot("loop", ax=left)
 right.plot(plan.displacement, plan.voltage)

@@ -3,7 +3,7 @@ A published equation, and its record
 ====================================
 
 Chandra and others (2023) found an equation of five terms for a piezoelectric actuator by sparse regression, and
-published the record with it. Their comparison is done again here, with a model of dehyst beside the equation.
+published the record with it. Here their comparison is repeated, with a model of dehyst beside the equation.
 """
 
 from dataclasses import replace
@@ -17,7 +17,7 @@ import dehyst
 
 # %%
 # The file is in the repository, in ``examples/measured/sine150``, with its source and licence, and is read as its
-# authors published it. They took two cycles of a sine for training; neither model has seen what is before these.
+# authors published it. They took two cycles of a sine for training; the earlier time is held out for both models.
 columns = "time=2:s, displacement=3:um, voltage=4:V"
 record = dehyst.read("../measured/sine150/hysteresis_v_150_1hz.csv", columns)
 training = replace(record[35_000:45_000], name="training")
@@ -27,8 +27,8 @@ print(fill(" ".join(fit.summary().splitlines()[:2]), 85))
 
 
 # %%
-# The equation has the frequency and the phase of the sine in it. Its authors begin at -14.030457 um; where they did not
-# use it, it begins at what was measured.
+# The equation contains the frequency and the phase of the sine. Its authors begin at -14.030457 um; for the held-out
+# time it begins at the measured displacement.
 def slope(time, displacement):
     phase = 6.28318530724 * time - 46.2178545458
     drive = 0.581 * 150 * np.sin(phase) + 0.119 * 942.477796086 * np.cos(phase)
@@ -40,8 +40,9 @@ def equation(time, start):
 
 
 # %%
-# Errors in % of the stroke, of the same samples. The noise of the sensor is 0.11 % RMS. The model is better by RMS, and
-# slightly worse at most, just after the turning points. Neither is tested at another height or another frequency.
+# Errors of both on the same samples, in % of the stroke. The noise of the sensor is 0.11 % RMS. The model has a smaller
+# RMS error, and a slightly larger maximum just after the turning points. Neither is tested at another height or
+# frequency.
 figure, panels = plt.subplots(1, 2, figsize=(11, 4), sharey=True)
 for panel, trace in zip(panels, fit.traces, strict=True):
     time, known = trace.time, trace.role == "training"

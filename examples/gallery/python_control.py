@@ -2,7 +2,7 @@
 A loop in python-control
 ========================
 
-A compensator and its actuator as blocks whose state holds all memory, with an integral around them.
+A compensator and its actuator become blocks with all memory in their states, with an integral control around them.
 """
 
 import dataclasses
@@ -14,7 +14,7 @@ import numpy as np
 import dehyst
 
 # %%
-# An actuator with creep that has aged: the compensator only knows it as it was.
+# An actuator with creep has aged: the compensator still has its old model.
 knots = np.linspace(0, 16e-6, 5)
 slip = dehyst.MaxwellSlip(1e-6 * np.arange(1, 9), np.linspace(8e5, 1e5, 8))
 creep = dehyst.DisplacementCreep([0.01, 0.1, 1.0], [0.01, 0.01, 0.01])
@@ -23,8 +23,8 @@ aged = dataclasses.replace(actuator, spring=dehyst.Spring(knots, 7.6e6 * knots))
 
 
 # %%
-# python-control calls the functions of a block in any order. So each call first restores the memory from the state,
-# which is a snapshot, a number a byte. The output of a sample depends on its input.
+# python-control calls the functions of a block in any order. Therefore each call first restores the memory from the
+# state: a snapshot, with one number per byte. The output of a sample depends on its input.
 def block(loop, inputs, outputs, advance):
     def numbers():
         return np.frombuffer(loop.snapshot(), np.uint8).astype(float)
@@ -56,7 +56,7 @@ inverse, inverse_start = block(compensator, "wanted", "voltage", compensator.ste
 stage, stage_start = block(plant, "voltage", "displacement", played)
 
 # %%
-# The integral adds what is missing to the displacement that the compensator is given, one sample late.
+# The integral adds the error to the input of the compensator, one sample late.
 time = 1e-3 * np.arange(600)
 setpoint = 4e-6 * (1 - np.cos(2 * np.pi * 5 * time))
 error = control.summing_junction(["setpoint", "-displacement"], "error")

@@ -2,8 +2,8 @@
 Limits that saturate
 ====================
 
-A path needs more voltage than is allowed. What counts is the error after it: the memory must be that of the voltage
-that was really sent.
+A path needs more voltage than is allowed. After that, the error is small only if the memory follows the voltage that
+was really sent.
 """
 
 import warnings
@@ -23,12 +23,13 @@ homing = np.concatenate([np.linspace(0, 200, 400), np.linspace(200, 0, 400)])
 homed = actuator.simulate(homing).state
 
 # %%
-# The path rises to 11 um; 100 V are allowed, and suffice for about 7 um.
+# The path rises to 11 um; the allowed 100 V reach about 7 um.
 corners = np.array([0.5, 11, 3, 5.5, 2, 5]) * 1e-6
 wanted = np.interp(np.linspace(0, corners.size - 1, 1200), np.arange(corners.size), corners)
 
 # %%
-# A loop with limits knows what it sent. A loop without them, whose voltage is clipped outside of it, does not.
+# A loop with limits knows the voltage that is sent. A loop without limits does not know that its voltage is clipped
+# later.
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", dehyst.ClampWarning)
     aware = dehyst.Compensator(actuator, (0, 100), state=homed).run(wanted)

@@ -2,7 +2,7 @@
 A scan and its wave table
 =========================
 
-A triangle with rounded turns, as one period that a generator repeats.
+This makes one period of a triangle with rounded turns, which a generator repeats.
 """
 
 import matplotlib.pyplot as plt
@@ -18,14 +18,14 @@ record = dehyst.Record(tops.time, tops.voltage, stage.play(tops.voltage), name="
 actuator = dehyst.identify(record).actuator
 
 # %%
-# 2 to 12 um at 10 Hz; a fifth of each branch is for the turns.
+# The triangle goes from 2 to 12 um at 10 Hz; the turns take a fifth of each branch.
 scan = Triangle(2e-6, 12e-6, frequency=10, turns=0.2)
 table = dehyst.wave_table(actuator, scan.path(), limits=(0, 200), slew_rate=20_000)
 plan, cycle = table.plan, table.cycle
 print(f"{table.cycles} cycle of start-up, then the table is steady to {1e9 * table.error:.2g} nm; {table.warnings=}")
 
 # %%
-# Play the plan and then the cycle twice on the stage: the lines come out straight.
+# Play the plan, and then the cycle twice, on the stage: the lines are straight.
 voltage = np.concatenate([plan.voltage[:-1], cycle.voltage, cycle.voltage])
 wanted = np.concatenate([plan.displacement[:-1], cycle.displacement, cycle.displacement])
 time = np.append(plan.time[:-1], plan.time[-1] + np.arange(2 * len(cycle)) / table.sample_rate)

@@ -2,7 +2,7 @@
 A sensor that is late
 =====================
 
-A delay between voltage and displacement widens loops. It is estimated, and not taken for hysteresis.
+A delay between voltage and displacement widens the loops. dehyst estimates it, and does not take it for hysteresis.
 """
 
 import matplotlib.pyplot as plt
@@ -13,7 +13,7 @@ from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, descending_tops, raised_cosine
 
 # %%
-# Loops at 1 Hz, 500 samples a second, and a sensor that is 4 ms late.
+# The loops are at 1 Hz, with 500 samples a second; the sensor is 4 ms late.
 delay = 4e-3
 stage = PlayActuator(asymmetry=0.0, bend=0.0)
 tops = descending_tops(200, drive=Sampling(frequency=1, sample_rate=500))
@@ -23,7 +23,7 @@ measured = np.interp(tops.time - delay, tops.time, moved) + noise
 record = dehyst.Record(tops.time, tops.voltage, measured, name="late")
 
 # %%
-# The delay is searched for beside the model. ``delay=0`` forbids it.
+# The identification also searches for the delay. ``delay=0`` forbids a delay.
 fit = dehyst.identify(record, structure="maxwell_slip")
 without = dehyst.identify(record, structure="maxwell_slip", delay=0)
 print(f"delay: {1e3 * fit.actuator.delay:.2f} ms")
@@ -31,8 +31,8 @@ for name, found in ("with it", fit), ("delay=0", without):
     print(f"{name}: {found.errors[0].rms_percent:.3f} % of the stroke RMS on the record")
 
 # %%
-# A model that takes the delay for hysteresis is wrong at any other speed: here on loops so slow that the delay does
-# not matter.
+# A model that takes the delay for hysteresis is wrong at other speeds: here on loops so slow that the delay has no
+# effect.
 slowly = Sampling(frequency=0.01, sample_rate=4)
 slow = raised_cosine([200.0, 120.0], cycles=2, drive=slowly)
 truth = stage.play(slow.voltage, measured=False)

@@ -2,7 +2,7 @@
 Compared with a straight gain
 =============================
 
-Drive a stage by a constant ratio of voltage to displacement, and by the compensator.
+Drive a stage with a constant ratio of voltage to displacement, and with the compensator.
 """
 
 import matplotlib.pyplot as plt
@@ -19,13 +19,13 @@ record = dehyst.Record(tops.time, tops.voltage, stage.play(tops.voltage), name="
 fit = dehyst.identify(record)
 
 # %%
-# A path with reversals at different heights, which begins at the bottom of the range.
+# The path begins at the bottom of the range, and has reversals at different heights.
 corners = np.array([0.0, 0.9, 0.3, 0.7, 0.4, 0.6, 0.1, 0.8, 0.2])
 place = np.linspace(0, corners.size - 1, 2000)
 wanted = stage.stroke * (0.02 + 0.95 * np.interp(place, np.arange(corners.size), corners))
 
 # %%
-# Both begin after the same homing, up to the top and down to 0 V: after it the state is known.
+# Both begin after the same homing, up to the top and down to 0 V, after which the state is known.
 homing = np.concatenate([np.linspace(0, 200, 400), np.linspace(200, 0, 400)])
 homed = fit.actuator.simulate(homing).state
 zero = fit.actuator.displacement(homed)

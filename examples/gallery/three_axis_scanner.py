@@ -2,7 +2,8 @@
 A three-axis scanner
 ====================
 
-Each of three stacks moves all axes a little: one matrix and three actuators describe them, from one record.
+Each of three stacks moves all axes a little. One matrix and three actuators, identified from one record, describe the
+scanner.
 """
 
 import matplotlib.pyplot as plt
@@ -17,26 +18,26 @@ stacks = [PlayActuator(width=width, noise=0.0) for width in (0.4, 0.5, 0.6)]
 
 
 def play(time, voltage):
-    """Return what sensors on the three axes measure."""
+    """Return the readings of sensors on the three axes."""
     moved = [stack.play(column) for stack, column in zip(stacks, voltage.T, strict=True)]
     noise = np.random.default_rng(0).normal(0, 2e-9, voltage.shape)
     return dehyst.Record(time, voltage, np.column_stack(moved) @ coupling.T + noise)
 
 
 # %%
-# One axis after the other, then all together with periods that do not repeat. A cycle before is not recorded.
+# The axes move one after the other, then all together with different periods. A first cycle is not recorded.
 tops = stage_excitation([200, 200, 200], drive=Sampling(0.5, sample_rate=20), steps=6, cycles=6)
 play(np.arange(41.0), 200 * np.sin(np.linspace(0, np.pi, 41))[:, None] ** 2 * np.ones(3))
 record = play(tops.time, tops.voltage)
 
 # %%
-# The matrix, and three Maxwell-slip actuators, which are fitted fast.
+# Identify the matrix, and three Maxwell-slip actuators, whose fit is fast.
 fit = dehyst.identify(record, structure="maxwell_slip")
 print(np.round(fit.coupling, 4))
 print(f"largest error of an entry: {np.abs(fit.coupling - coupling).max():.4f}; {fit.verdict}")
 
 # %%
-# Motion of x that the voltage of y causes: with a model of x alone, and with that of the stage.
+# The residual of x over the voltage of y, with a model of x alone, and with the model of the stage.
 alone = dehyst.identify(record.axis(0), structure="maxwell_slip").traces[0]
 whole = fit.fits[0].traces[0]
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), sharey=True)

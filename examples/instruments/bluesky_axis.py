@@ -25,10 +25,10 @@ PERIOD = 0.02
 
 
 class CompensatedAxis(StandardReadable, Movable[float], Triggerable):
-    """`set` takes the wanted displacement [um]; before the first, the axis must be homed: `yield from homing(axis)`.
+    """`set` takes the wanted displacement [um]; before the first call, home the axis with `yield from homing(axis)`.
 
     Signals: `wanted` [um], `voltage` [V] and `position` [um], the reading of the sensor. Inertia and lag of the model
-    are ignored: ramps are slow against them.
+    are ignored, because ramps are slow.
     """
 
     def __init__(self, rig, actuator, name=""):
@@ -55,7 +55,7 @@ class CompensatedAxis(StandardReadable, Movable[float], Triggerable):
         self._set_position(1e6 * position)
 
     def home(self):
-        """Lead the actuator from any state to a known one."""
+        """Bring the actuator from any state to a known state."""
         self._compensator = None
         bounds = self._rig.limits.low, self._rig.limits.high
         homing = shortest_homing(self._actuator, limits=bounds, present=self._rig.read().voltage)
@@ -67,7 +67,7 @@ class CompensatedAxis(StandardReadable, Movable[float], Triggerable):
         memory = self._compensator
         if memory is None:
             raise RigError(f"{self.name}: the state of its actuator is not known; home it first")
-        # The model creeps for as long as the last voltage was held.
+        # The model creeps for the time that the last voltage was held.
         for _ in range(int((time.monotonic() - self._since) / PERIOD)):
             memory.hold()
         low, high = memory.reach

@@ -1,6 +1,7 @@
-"""An NV200/D of piezosystem jena as a rig, by its maker's library nv200 (Python 3.12). Tried with an emulator only.
+"""An NV200/D of piezosystem jena as a rig, with the manufacturer's library nv200 (Python 3.12).
 
-Check the output with an oscilloscope, without an actuator connected. Then edit the address, and::
+Tested with an emulator only: check the output with an oscilloscope, without an actuator connected. Then edit the
+address, and::
 
     dehyst calibrate examples/instruments/jena.py:JenaRig --limits 0 100
 """
@@ -19,17 +20,17 @@ from dehyst.instruments import AbstractRig, LinkError, Reading, RigError
 ADDRESS = "192.168.0.5"  # a host, or a serial port
 # Answer of the amplifier: an actuator with a sensor in micrometres, open loop, setpoints from here.
 NEEDED = {"acmeasure": ("1",), "cl": ("0",), "modsrc": ("0",), "unitcl": ("um", "\xb5m", "\u03bcm")}
-# Data recorder: no automatic start, piezo voltage in memory 0 and position in memory 1, 20 samples of 50 us.
+# Data recorder: no automatic start, piezo voltage in memory 0, position in memory 1, 20 samples of 50 us.
 RECORDER = ("recast,0", "recsrc,0,2", "recsrc,1,0", "recstr,1", "reclen,20")
-# This slew rate [% of the range in 1 ms], and any above, means none.
+# A slew rate of this value [% of the range in 1 ms] or above means that the amplifier does not limit it.
 NO_SLEW_RATE = 2000.0
 
 
 class JenaRig(AbstractRig):
-    """Each voltage is a setpoint; the recorder then takes voltage and position at one instant."""
+    """A rig that sends setpoints; after each one the recorder samples voltage and position at the same instant."""
 
     def __init__(self, *, limits=None, slew_rate=None):
-        # A loop of its own: an exchange that Ctrl-C interrupts ends, and no later one gets its answer.
+        # A separate event loop: an exchange that Ctrl-C interrupts ends, and no later exchange gets its answer.
         self._loop, self._one = asyncio.new_event_loop(), asyncio.Lock()
         threading.Thread(target=self._loop.run_forever, daemon=True).start()
         serial = ADDRESS.startswith(("/", "COM"))
@@ -62,7 +63,7 @@ class JenaRig(AbstractRig):
         self._ask(f"set,{voltage:.6f}")
 
     def _halt(self):
-        """Nothing plays by itself."""
+        """Do nothing: no wave plays by itself."""
 
     def _close(self):
         self._run(self._device.close())
@@ -71,7 +72,7 @@ class JenaRig(AbstractRig):
         return float(self._ask(query)[-1])
 
     def _ask(self, command):
-        """Send a command; return the values of its answer."""
+        """Send a command; return the values of the answer."""
 
         async def exchange():
             async with self._one:
@@ -79,7 +80,7 @@ class JenaRig(AbstractRig):
 
         name, answer = self._run(exchange())
         if name and name != command.partition(",")[0]:
-            raise LinkError(f"got an answer to {name[:20]!r}, need one to {command!r}; check the link")
+            raise LinkError(f"got an answer to {name[:20]!r}, need an answer to {command!r}; check the link")
         return list(answer)
 
     def _run(self, task):

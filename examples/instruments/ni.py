@@ -1,6 +1,7 @@
-"""A data acquisition card of National Instruments as a rig. Tried with a fake of its library, and not on hardware.
+"""A data acquisition card of National Instruments as a rig.
 
-Check the output with an oscilloscope, without an actuator connected. Then edit the constants, and::
+Tested with a fake of the card's library, not on hardware: check the output with an oscilloscope, without an actuator
+connected. Then edit the constants, and::
 
     dehyst calibrate examples/instruments/ni.py:NiRig --limits 0 100
 """
@@ -15,14 +16,14 @@ from nidaqmx.constants import AcquisitionType, RegenerationMode
 from dehyst.control import VoltageLimits
 from dehyst.instruments import AbstractRig, Reading, Samples
 
-# The monitor is an input at the amplifier's monitor output, which shows the voltage of the actuator.
+# The monitor is an input that reads the amplifier's monitor output, the voltage of the actuator.
 CARD, OUTPUT, SENSOR, MONITOR = "Dev1", "Dev1/ao0", "Dev1/ai0", "Dev1/ai1"
-# Amplifier [V/V], monitor [V of the actuator a volt], sensor [m/V].
+# Gains of the amplifier [V/V], the monitor [V of the actuator per volt] and the sensor [m/V].
 GAIN, MONITOR_GAIN, SCALE = 10.0, 10.0, 2e-6
 
 
 class NiRig(AbstractRig):
-    """The output plays a wave once, by its own clock; the inputs are read at its edges."""
+    """A rig whose output plays a wave once with its own clock; the inputs are read at the edges of this clock."""
 
     def __init__(self, *, limits=None, slew_rate=None):
         device = nidaqmx.system.Device(CARD)
@@ -32,7 +33,7 @@ class NiRig(AbstractRig):
         super().__init__(name, bounds, limits=limits, slew_rate=slew_rate, longest=2**24 - 2)
 
     def nearest_rate(self, sample_rate):
-        """Return the rate [Hz] to which the card rounds."""
+        """Return the rate [Hz] to which the card rounds `rate`."""
         with nidaqmx.Task() as task:
             self._add_output(task)
             task.timing.cfg_samp_clk_timing(sample_rate, sample_mode=AcquisitionType.FINITE, samps_per_chan=2)
@@ -50,7 +51,7 @@ class NiRig(AbstractRig):
             task.write(voltage / GAIN, auto_start=True)
 
     def _wave(self, voltage, rate):
-        # An edge reads the inputs before it changes the output: the last voltage stays for one more edge.
+        # An edge reads the inputs before it changes the output: therefore the last voltage needs one more edge.
         sent = np.append(voltage, voltage[-1]) / GAIN
         clock = {"sample_mode": AcquisitionType.FINITE, "samps_per_chan": sent.size}
         output, inputs = (self._tasks.enter_context(nidaqmx.Task()) for _ in range(2))
@@ -68,14 +69,14 @@ class NiRig(AbstractRig):
             ready = min(inputs.in_stream.avail_samp_per_chan, sent.size - got)
             found = inputs.read(number_of_samples_per_channel=ready) if ready else [[], []]
             sensor, monitor = np.array(found, dtype=float)
-            # The first edge is the one before the wave. Batches that stay empty are an error of AbstractRig.
+            # The first edge is before the wave. AbstractRig raises an error if batches stay empty.
             times, first = begin + np.arange(got, got + ready) / rate, int(got == 0)
             got += ready
             yield Samples(times[first:], MONITOR_GAIN * monitor[first:], SCALE * sensor[first:])
         self._halt()
 
     def _halt(self):
-        # The output stays where it is when its task ends.
+        # The output keeps its voltage when its task ends.
         self._tasks.close()
 
     _close = _halt

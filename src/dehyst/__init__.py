@@ -1,6 +1,6 @@
 """dehyst takes the hysteresis out of piezoelectric actuators.
 
-Measured loops in, a physical model and the cancelling voltage out::
+It makes a physical model from measured loops, and voltages for a wanted path::
 
     record = dehyst.read("loops.csv")
     fit = dehyst.identify(record)
@@ -14,7 +14,7 @@ from sys import modules
 
 from dehyst._version import __version__
 
-TYPE_CHECKING = False  # without loading typing
+TYPE_CHECKING = False  # type checkers take it for True; `typing` is not loaded
 if TYPE_CHECKING:
     from dehyst._errors import (
         DehystError,
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     )
     from dehyst.exports import export
 
-    # A function has the name of its module, which mypy takes for another definition; of `update` too.
+    # mypy takes a module and a function of the same name for two definitions.
     from dehyst.identification import (  # type: ignore[no-redef]
         Fit,
         Structure,
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from dehyst.records import Columns, Record, read, write_record
     from dehyst.trust import check, compare, insight, update  # type: ignore[no-redef]
 
-# Each public name and the room it is imported from when it is first used: a control loop loads no identification.
+# The room of each public name. A room is imported at the first use: a control loop does not load identification.
 _ROOM_OF = {
     name: room
     for room, names in {
@@ -72,7 +72,7 @@ _ROOM_OF = {
     }.items()
     for name in names.split()
 }
-# Rooms that are attributes of the package without an import of their own.
+# Rooms that are attributes of the package without a separate import.
 _ROOMS = {room.split(".")[0] for room in _ROOM_OF.values()} | {"fleet", "paper", "report", "virtual", "waveforms"}
 
 __all__ = ["Actuator", "Bank", "ClampWarning", "Columns", "Compensator", "DehystError"]
@@ -90,7 +90,7 @@ def __getattr__(name: str) -> object:
         return value
     if name in _ROOMS:
         return import_module(f"dehyst.{name}")
-    # With both, Python suggests the nearest name.
+    # From these two fields Python suggests the nearest name.
     raise AttributeError(f"module 'dehyst' has no attribute '{name}'", name=name, obj=modules[__name__])
 
 

@@ -32,7 +32,7 @@ class DehystError(Exception):
     Parameters
     ----------
     message : str, optional
-        What is wrong, if `got` and `need` do not say it.
+        What is wrong, if `got` and `need` do not state it.
     argument : str, optional
         Name of the argument that is wrong, or several with commas.
     got, need, hint : optional
@@ -41,7 +41,7 @@ class DehystError(Exception):
         Names of the arguments that the hint is about.
     """
 
-    # The part that the error is about, such as "axis x: ", before its message.
+    # The part with the error, such as "axis x: ", before the message.
     part = ""
 
     def __init__(
@@ -59,7 +59,7 @@ class DehystError(Exception):
         super().__init__(self.text())
 
     def text(self, named: Callable[[str], str] = str, given: Callable[[str], str] = "{}=".format) -> str:
-        """Return the message; `named` returns the shown name of an argument, `given` how to give it, or nothing."""
+        """Return the message; `named` returns the shown name of an argument, `given` how to give it, or ""."""
         head = ", ".join(map(named, self.argument.split(", "))) + ": " if self.argument else ""
         got = f"got {self.got}" if self.got else ""
         need = f"need {self.need}" if self.need else ""
@@ -95,7 +95,7 @@ class FileFormatError(DehystError, ValueError):
 
 
 class DecimalSignError(FileFormatError):
-    """A file whose numbers can be read with a decimal comma and with a decimal point."""
+    """A file whose numbers have one meaning with a decimal comma, and another one with a decimal point."""
 
 
 class ModelError(DehystError, ValueError):
@@ -111,12 +111,12 @@ class MissingExtraError(DehystError, ImportError):
 
     @classmethod
     def of(cls, package: str, extra: str, purpose: str) -> MissingExtraError:
-        """Build the message from the missing `package`, the `extra` that brings it and the `purpose`."""
+        """Build the message from the missing `package`, the `extra` that installs it and the `purpose`."""
         return cls(f"{purpose} needs {package}, which is not installed. Try: pip install 'dehyst[{extra}]'")
 
 
 class RigError(DehystError, OSError):
-    """An instrument does not do what is needed; if possible, its voltage was brought to a safe value."""
+    """An instrument that does not do what is needed; if possible, its voltage was brought to a safe value."""
 
 
 class LinkError(RigError, ConnectionError):
@@ -132,11 +132,11 @@ class SensorError(RigError):
 
 
 class Terminated(SystemExit):
-    """A signal ends the program; SystemExit itself is what code of others may raise."""
+    """A signal that ends the program; a class of its own, because other code may raise SystemExit."""
 
 
 def library(module: str, purpose: str, extra: str) -> Any:
-    """Return a `module` of an optional package; raise MissingExtraError, with the `purpose`, if it is not installed."""
+    """Import a `module` of an optional package; raise MissingExtraError, with the `purpose`, if it is not installed."""
     try:
         return import_module(module)
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""Files and folders: read strictly, written wholly or not at all, as a draft in the folder that is then renamed."""
+"""Files and folders: strict reading, and writing that is complete or absent, by a draft that is then renamed."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ from dehyst._errors import DehystError, FileFormatError
 from dehyst._version import __version__
 
 PathLike: TypeAlias = str | os.PathLike[str]
-# Short and of one length, so that the draft of every valid file name has a valid name.
+# Names of drafts are short, so that a draft of any valid file name has a valid name.
 _DRAFT = re.compile(r"\.dehyst-[0-9a-f]{8}\.tmp")
-# Errors of file systems that cannot sync.
+# Errors of file systems without sync.
 _NO_SYNC = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS)
 
 GENERATOR = f"dehyst {__version__}"
-# Column of a displacement that a model gives: no measured table has it.
+# Column of the displacement of a model; measured tables do not have it.
 COMPUTED = "expected_um"
 # Every format of dehyst has this version.
 VERSION = 1
-OTHER_VERSION = "write it again with this dehyst, or read it with the one that wrote it"
+OTHER_VERSION = "write it again with this version of dehyst, or read it with the version that wrote it"
 _HEAD = 4096
 _FORMAT = re.compile(rb'(?:\xef\xbb\xbf)?\s*\{\s*"format"\s*:\s*"([a-z-]+)"|# (dehyst-scan): ')
-# Types of data that are no file.
+# Types of data that are not names of files.
 _ARRAYS = ("DataFrame", "ndarray")
-# A model has hundreds of numbers, the results of a calibration tens of thousands.
+# Most bytes of a JSON file. A model has hundreds of numbers, a calibration tens of thousands.
 _MOST_JSON = 100_000_000
 
 
 def draft_of(target: Path) -> Path:
-    """Return a new hidden name next to the target for a draft; a leftover of a killed process does no harm."""
+    """Return a new hidden name for a draft beside the target; the draft of a killed process does no harm."""
     return target.with_name(f".dehyst-{secrets.token_hex(4)}.tmp")
 
 
@@ -53,20 +53,20 @@ def is_draft(name: str) -> bool:
 
 
 def unwritten(path: PathLike, error: OSError) -> FileFormatError:
-    """Return the error for a file or a folder that cannot be written, with advice that fits."""
+    """Return the error for a file or a folder that cannot be written, with advice for its cause."""
     advice = {
         **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "make room there, or name a place that has some"),
-        **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), "check the folder's rights"),
+        **dict.fromkeys((errno.EACCES, errno.EPERM, errno.EROFS), "check the permissions of the folder"),
         errno.ENAMETOOLONG: "give a shorter name",
-    }.get(error.errno or 0, "check the name, and the folder's room and rights")
+    }.get(error.errno or 0, "check the name, and the room and the permissions of the folder")
     return FileFormatError(f"{path}: cannot be written ({error.strerror}); {advice}")
 
 
 def write_atomically(path: PathLike, data: str | bytes | Iterable[str]) -> None:
-    """Write a file completely or not at all: first a draft in its folder, then, once on the disk, renamed.
+    """Write a file completely or not at all: a draft in its folder is renamed when it is on the disk.
 
-    Text, in one or in blocks, is UTF-8, a lone surrogate an escape. An existing file is replaced and keeps its mode.
-    Raise `FileFormatError` if the folder is missing or not writable, or the path is a folder or a disk.
+    Text, as a whole or in blocks, is written as UTF-8, and a lone surrogate as an escape. An existing file is replaced
+    and keeps its mode. Raise `FileFormatError` if the folder is missing or not writable, or the path is no file.
     """
     blocks = [data] if isinstance(data, str | bytes) else data
     content = (block.encode(errors="backslashreplace") if isinstance(block, str) else block for block in blocks)
@@ -76,12 +76,12 @@ def write_atomically(path: PathLike, data: str | bytes | Iterable[str]) -> None:
             raise FileFormatError(f"{path}: this is a folder; add a file name")
         if mode is not None and stat.S_ISBLK(mode):
             raise FileFormatError(f"{path}: is a disk; give the name of a file")
-        # A device such as /dev/null, or a pipe, is written to, never replaced.
+        # A device such as /dev/null, or a pipe, is never replaced.
         if mode is not None and not stat.S_ISREG(mode):
             with Path(path).open("wb") as stream:
                 stream.writelines(content)
             return
-        # A link keeps pointing at its file.
+        # Replace the file behind a link, not the link.
         target = Path(os.path.realpath(path))
         if not target.parent.is_dir():
             raise FileFormatError(f"{path}: the folder {Path(path).parent} does not exist; create it first")
@@ -89,7 +89,7 @@ def write_atomically(path: PathLike, data: str | bytes | Iterable[str]) -> None:
         try:
             with draft.open("xb") as stream:
                 if mode is not None:
-                    # Not every file system has modes.
+                    # Some file systems have no modes.
                     with suppress(OSError):
                         draft.chmod(stat.S_IMODE(mode))
                 stream.writelines(content)
@@ -104,7 +104,7 @@ def write_atomically(path: PathLike, data: str | bytes | Iterable[str]) -> None:
 
 
 def _mode_of(path: PathLike) -> int | None:
-    """Return type and mode of the file at a path; None if there is no file."""
+    """Return the type and mode of the file at a path; None if there is no file."""
     try:
         return Path(path).stat().st_mode
     except (FileNotFoundError, NotADirectoryError):
@@ -122,7 +122,7 @@ def settle(descriptor: int) -> None:
 
 def settle_folder(folder: Path) -> None:
     """Wait until the names in a folder are on the disk, if the system can sync folders."""
-    # Windows opens no folders, and some file systems cannot sync them.
+    # Windows cannot open folders, and some file systems cannot sync them.
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:
@@ -132,7 +132,7 @@ def settle_folder(folder: Path) -> None:
 
 
 def path_of(value: object, what: str = "path") -> Path:
-    """Return the name of a file or a folder as a path; raise FileFormatError if it cannot be one."""
+    """Return the name of a file or a folder as a path; raise FileFormatError for anything else."""
     name = os.fspath(value) if isinstance(value, str | os.PathLike) else None
     if isinstance(name, str) and "\0" not in name:
         return Path(name)
@@ -144,7 +144,7 @@ def path_of(value: object, what: str = "path") -> Path:
 
 
 def format_of(path: PathLike) -> str | None:
-    """Return the "format" at the beginning of a JSON file, or of the path of a scan; None for any other file."""
+    """Return the "format" at the beginning of a JSON file or of the path of a scan; None for any other file."""
     try:
         if not Path(path).is_file():
             return None
@@ -156,9 +156,9 @@ def format_of(path: PathLike) -> str | None:
 
 
 def demand_own_folder(folder: PathLike, marker: str, kind: str, *, force: bool | None = None) -> None:
-    """Raise `FileFormatError` unless a folder is new, empty, or has a file `marker`, JSON of the format `kind`.
+    """Raise `FileFormatError` unless a folder is new, empty, or of an earlier run.
 
-    That file is of an earlier run. `force`: the folder may hold any files; None where there is no option --force.
+    Such a folder has the file `marker`, JSON of the format `kind`. `force`: any files are allowed; None: no --force.
     """
     try:
         held = sorted(path.name for path in Path(folder).iterdir() if not is_draft(path.name))
@@ -170,7 +170,7 @@ def demand_own_folder(folder: PathLike, marker: str, kind: str, *, force: bool |
         raise unwritten(folder, error) from error
     if held and not force and format_of(Path(folder) / marker) != kind:
         named = f"{', '.join(held[:3])}{' ...' if len(held) > 3 else ''}"
-        more = "" if force is None else ", or --force to write beside them, over files of the same name"
+        more = "" if force is None else ", or --force to write into it, and to replace files of the same name"
         raise FileFormatError(f"{folder}: holds other files ({named}); give the name of a new or an empty folder{more}")
 
 
@@ -207,9 +207,9 @@ def reading(path: Path, kind: str, most: float) -> Iterator[BinaryIO]:
         raise FileFormatError(f"{path}: no such file; check the name and the folder") from error
     except PermissionError as error:
         raise FileFormatError(f"{path}: no permission to read it; check the file's mode") from error
-    except Exception as error:  # every library has its own errors for broken content
-        got, need = f"{str(error)[:300] or 'other content'!r} from its reader", f"a whole {kind} file"
-        hint = "correct its suffix, or save the file again"
+    except Exception as error:  # Each library has its own errors for broken content.
+        got, need = f"{str(error)[:300] or 'other content'!r} from its reader", f"a complete {kind} file"
+        hint = "correct the suffix, or save the file again"
         raise FileFormatError(f"{path}: cannot be read", got=got, need=need, hint=hint) from error
 
 
@@ -217,7 +217,7 @@ def read_json(path: PathLike) -> dict[str, Any]:
     """Read a JSON object strictly: exactly what `write_json` wrote, without guesses.
 
     Raise `FileFormatError` if it cannot be read, has more than 100 MB, is not UTF-8 or not valid JSON, is no object, or
-    holds a repeated key, NaN, Infinity, or a number too large for a float.
+    has a repeated key, NaN, Infinity, or a number too large for a float.
     """
     path = path_of(path)
 
@@ -225,7 +225,7 @@ def read_json(path: PathLike) -> dict[str, Any]:
         keys = [key for key, _ in pairs]
         if len(set(keys)) < len(keys):
             twice = next(key for i, key in enumerate(keys) if key in keys[:i])
-            raise FileFormatError(f"{path}: the key '{twice}' is there twice in one object; remove one of the two")
+            raise FileFormatError(f"{path}: an object has the key '{twice}' twice; remove one of the two")
         return dict(pairs)
 
     def number(digits: str) -> float | int:
@@ -248,7 +248,7 @@ def read_json(path: PathLike) -> dict[str, Any]:
         except json.JSONDecodeError as error:
             if error.pos == 0 and any(mark in text.partition("\n")[0] for mark in ",;\t"):
                 raise FileFormatError(
-                    f"{path}: is a table, of a record or a path; a JSON file, such as a model, is needed"
+                    f"{path}: is a table of a record or a path; need a JSON file, such as a model"
                 ) from error
             raise FileFormatError(
                 f"{path}: line {error.lineno}, column {error.colno}: no valid JSON ({error.msg}); correct it there, or "
@@ -282,7 +282,7 @@ def to_json(data: Mapping[str, Any], what: str, indent: int | None = None) -> st
 
 
 def finite(value: Any) -> Any:
-    """Replace numbers that JSON does not have by None, in lists and dicts too."""
+    """Replace numbers that JSON does not have by None, also in lists and dicts."""
     if isinstance(value, dict):
         return {key: finite(entry) for key, entry in value.items()}
     if isinstance(value, list):
@@ -291,7 +291,7 @@ def finite(value: Any) -> Any:
 
 
 def packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return arrays as the content of an .npz file, in their order, not compressed."""
+    """Return arrays as the content of an .npz file, in this order and without compression."""
     content, named = io.BytesIO(), dict[str, Any](arrays)
     np.savez(content, **named)
     return content.getvalue()
@@ -300,7 +300,7 @@ def packed(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 def lock(descriptor: int) -> None:
     """Lock an open file until it is closed; raise BlockingIOError if another process has locked it.
 
-    Without an error, nothing is locked on Windows, or on a file system that has no locks.
+    On Windows and on file systems without locks, the file is not locked, and no error is raised.
     """
     try:
         import fcntl

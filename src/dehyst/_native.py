@@ -19,7 +19,7 @@ EMPTY.flags.writeable = False
 class Core:
     """Tables of an actuator in C, which chooses the fastest evaluator for the parts that it has.
 
-    Equations and names: `core/include/dehyst.h`. Pickled and copied as the numbers from which they were computed.
+    Equations and names: `core/include/dehyst.h`. Copies and pickles have the numbers from which it is made.
 
     `rho`, `kappa` (N,): breakaway elongations [m], strictly increasing, and stiffnesses [V/m] of the elements; with
     grades, the stiffnesses are not read. `knots`, `values` (K,): the parallel spring, displacement [m] and voltage [V],
@@ -75,11 +75,11 @@ class Core:
         return float(checked(self._core.voltage, *start))
 
     def depth(self, y: Array, start: float, carts: Array) -> int:
-        """Count the entries on the stack of reversals after displacements y [m], from the state (start, carts)."""
+        """Count the entries of the stack of reversals after displacements y [m] from a state (start, carts)."""
         return int(checked(self._core.depth, y, start, carts))
 
     def spring_inverse(self, v: float) -> float:
-        """Return the displacement [m] at which the parallel spring alone has the voltage v."""
+        """Return the displacement [m] at which the parallel spring alone needs the voltage v."""
         return float(self._core.spring_inverse(v))
 
     def loop(
@@ -122,7 +122,7 @@ class CoreState(NamedTuple):
 
 
 class StepCoefficients(NamedTuple):
-    """Coefficients of steps of time: samples bounds[r] to bounds[r + 1] are equal steps, with those of row r.
+    """Coefficients of steps of time: samples bounds[r] to bounds[r + 1] are equal steps with the coefficients of row r.
 
     `bounds` (R + 1,). `decay`, `gain` (R, K): coefficients of creep behind the elements.
     `transition` (R, 8) or (R, 0): coefficients of a mass: phi, before and after of `dehyst_transition`.
@@ -150,7 +150,7 @@ def checked(function: Callable[..., Any], *arguments: object) -> Any:
 
 
 def slip_elongations(rho: Array, carts: Array | Sequence[float], y: Array) -> tuple[Array, Array]:
-    """Return the elongations (n, N) of elements with breakaway `rho` along y (n,), and the carts at its end."""
+    """Return the elongations (n, N) of elements with breakaway `rho` along y (n,), and the carts at the end."""
     matrix, moved = checked(compiled.slip_elongations, rho, np.array(carts, dtype=np.float64), y)
     return matrix, moved
 
@@ -165,7 +165,7 @@ def smooth_elongations(length: Array, closing: Array, y: Array, start: Array | N
 def steps(time: Array) -> tuple[NDArray[np.int64], Array]:
     """Divide samples into runs of equal steps of time: bounds (R + 1,) and the duration (R,) [s] of a step in each.
 
-    The first sample, which has no step before it, is a run without duration. A step that is not positive is a run.
+    The first sample, which has no step before it, is a run without duration. Each step that is not positive is a run.
     """
     bounds, durations = compiled.steps(time)
     return bounds, durations

@@ -1,18 +1,18 @@
-"""Text of messages: foreign text with control characters escaped, counts, and digits."""
+"""Text of messages: escapes for text of others, counts, and digits."""
 
 from __future__ import annotations
 
 import html
 import unicodedata
 
-# Most digits of a number.
+# Most digits of a written number.
 _MOST = 9
 
 
 def escaped(text: object) -> str:
-    r"""Return the text with control characters, line ends, marks of direction and lone surrogates as \x1b, \n, \u202e.
+    r"""Return the text with escapes (\x1b, \u202e) for control characters, marks of direction and lone surrogates.
 
-    Printable text, in any script, does not change, nor does text that is escaped already.
+    Printable text in any script does not change, and neither does text with escapes.
     """
     string = str(text)
     if string.isprintable():
@@ -30,7 +30,7 @@ def escape(text: object, *, quote: bool = True) -> str:
 
 
 def digits(number: float, count: int = 2, *unlike: float) -> str:
-    """Write a number with `count` digits, more if it would look like `unlike` ones, and no power of ten: "110"."""
+    """Write a number with `count` digits, or more if `unlike` numbers would look equal, without power of ten: "110"."""
     while count < _MOST and f"{number:.{count - 1}e}" in [f"{x:.{count - 1}e}" for x in unlike if x != number]:
         count += 1
     return f"{float(f'{number:.{count}g}'):.{max(count, 6)}g}"

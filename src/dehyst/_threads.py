@@ -1,4 +1,4 @@
-"""BLAS on one thread while dehyst solves: more threads make its small factorisations slower."""
+"""BLAS with one thread while dehyst solves: more threads make its small factorisations slower."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Any
 __all__ = ["one_thread"]
 
 _lock = threading.Lock()
-# The limit applies to the process: the first solver sets it, the last one removes it.
+# The limit holds for the whole process: the first solver sets it, the last one removes it.
 _limit: Any = None
 _solvers = 0
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit every BLAS library to one thread; usable as a decorator, nested, and in several threads at once."""
+    """Limit every BLAS library to one thread; works as a decorator, nested, and in several threads at once."""
     global _limit, _solvers  # noqa: PLW0603
     # Only loaded libraries can be limited, and SciPy brings a BLAS of its own.
     import scipy.linalg  # noqa: F401

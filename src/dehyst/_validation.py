@@ -1,6 +1,6 @@
-"""Checks of numbers, arrays and options from outside; each error states what was got and what is needed.
+"""Checks of numbers, arrays and options of the caller; each error states what was got and what is needed.
 
-Every check raises the class that its argument `error` names.
+Every check raises the class `error`.
 
 The core multiplies, divides and adds the numbers of a model. The results must stay finite, also for motions far beyond
 the records. The rule limits magnitudes, in SI units, and is far wider than any device needs:
@@ -28,11 +28,11 @@ from numpy.typing import ArrayLike
 from dehyst._errors import DehystError, IdentifyError, ModelError, of_part
 from dehyst._types import Array
 
-# Names of the axes of a record or a stage that names none.
+# Default names of axes.
 DEFAULT_AXES = ("x", "y", "z")
 
 LEAST, MOST, MOST_ADDED = 1e-30, 1e30, 1e300
-# The core's DEHYST_FARTHEST: no displacement lies farther away.
+# DEHYST_FARTHEST of the core, the largest displacement.
 FARTHEST = float(np.finfo(np.float64).eps) ** -2
 _LARGEST = float(np.finfo(np.float64).max)
 _PLAIN = frozenset({float, int, bool, str, bytes, type(None), np.float64, np.float32, np.int64, np.int32, np.bool_})
@@ -47,7 +47,7 @@ def keep(owner: object, **fields: Any) -> None:
 
 
 def untimely(time: Array, samples: int) -> str:
-    """Return an error for the times of a number of samples: a wrong number, or where they do not increase."""
+    """Return an error for times whose number is not that of the `samples`, or which do not increase."""
     if time.size != samples:
         return f"time: got {time.size} values for {samples} samples, need one per sample"
     k = int(np.argmax(np.diff(time) <= 0)) + 1
@@ -56,7 +56,7 @@ def untimely(time: Array, samples: int) -> str:
 
 
 def plain(values: Any, what: str, *, error: type[DehystError] = ModelError) -> Any:
-    """Return values unchanged; raise `error` if NumPy would strip them of a unit, of a mask or of an imaginary part."""
+    """Return values unchanged; raise `error` if NumPy would drop a unit, a mask or an imaginary part."""
     kind = type(values)
     if kind in _PLAIN or (kind is np.ndarray and values.dtype.kind not in "OcmM"):
         return values
@@ -65,10 +65,10 @@ def plain(values: Any, what: str, *, error: type[DehystError] = ModelError) -> A
             return [plain(value, what, error=error) for value in values]
         return values
     if unit := _unit_of(values) or _unit_of(getattr(values, "data", None)):
-        hint = 'give the numbers alone, as quantity.to("um").magnitude, or numpy.asarray(numbers)'
+        hint = 'give only the numbers, as quantity.to("um").magnitude, or numpy.asarray(numbers)'
         raise error(argument=what, got=f"a quantity in {unit}", need="plain numbers", hint=hint)
     mask, stored = getattr(values, "mask", None), getattr(getattr(values, "dtype", None), "kind", "")
-    # That of a table or a series of pandas is a method.
+    # Tables and series of pandas have a method of this name.
     if isinstance(mask, np.ndarray | np.bool_ | bool) and np.any(mask):
         raise error(argument=what, got="an array with masked values", need="all of them")
     if stored and stored in "mM":
@@ -150,9 +150,9 @@ def interval(limits: Sequence[float], *, error: type[DehystError] = ModelError) 
 
 
 def for_each(values: Any, count: int, what: str, *, error: type[DehystError] = ModelError) -> list[Any]:
-    """Return one entry for each of `count` axes or actuators, from one for all or a list of one for each.
+    """Return one entry for each of `count` axes or actuators, from one entry for all, or from a list.
 
-    Two numbers are one entry of limits. Raise `error` that names `what` if the list has another length.
+    A pair of numbers is one entry: limits. Raise `error` that names `what` if the list has another length.
     """
     alone = isinstance(values, str) or not isinstance(values, Iterable) or getattr(values, "ndim", 1) == 0
     given = [values] if alone else list(values)
@@ -173,7 +173,7 @@ def count(
 
 
 def choice(value: Any, name: str, among: Collection[str], *, error: type[DehystError] = IdentifyError) -> str:
-    """Return a value that is one of the words; raise `error` for another one."""
+    """Return a value that is one of the words; raise `error` for any other value."""
     words = " or ".join(map(repr, among))
     near = get_close_matches(value, among, 1) if isinstance(value, str) else []
     if not isinstance(value, str) or value not in among:
@@ -205,14 +205,14 @@ def demand_result(values: Array, what: str, most: float = _LARGEST) -> None:
 def demand_computable(
     values: ArrayLike, what: str, least: float = -inf, most: float = MOST, *, error: type[DehystError] = ModelError
 ) -> None:
-    """Raise `error` for magnitudes over `most`, or below `least`: that of a number to divide by is `LEAST`."""
+    """Raise `error` for magnitudes over `most` or below `least`, which is `LEAST` for a divisor."""
     magnitudes = np.abs(np.asarray(values, dtype=np.float64)).ravel()
     bad = np.flatnonzero(~((magnitudes >= least) & (magnitudes <= most)))
     if bad.size:
         needed = f"at most {most:g}" if least < 0 else f"{least:g} to {most:g}"
         raise error(
             argument=what,
-            got=f"{magnitudes[bad[0]]:.3g}, which cannot be computed with",
+            got=f"{magnitudes[bad[0]]:.3g}, which is out of range",
             need=f"{needed} in magnitude, in SI units",
             hint="check the units, or whether the file is damaged",
         )
@@ -220,12 +220,12 @@ def demand_computable(
 
 @dataclass(frozen=True)
 class Numbers:
-    """Reader of a number, a vector or a table: what each of its numbers must be.
+    """A checker of a number, a vector or a table, with conditions for each number.
 
     `dimensions`: 0, 1 or 2. `positive`: above 0. `least`, `most`: smallest and largest number. `rising`: each is larger
-    than the one before. `divides`: results are divided by those that are not 0, or by the steps of rising ones.
-    `largest`: magnitude that can be computed with. `plausible`: largest magnitude in a file, far beyond those of any
-    piezo actuator. `optional`: None is allowed. `error`: what is raised.
+    than the one before. `divides`: the numbers, or the steps between rising numbers, are divisors. `largest`: largest
+    magnitude for computing. `plausible`: largest magnitude in a file, far above that of any piezo actuator. `optional`:
+    None is allowed. `error`: the class that is raised.
     """
 
     dimensions: int = 0
@@ -261,7 +261,7 @@ class Numbers:
 
     @property
     def need(self) -> str:
-        """What the numbers must be, in words."""
+        """The conditions for the numbers, as text."""
         words = [f"{self.least:g} or more"] * (self.least > -inf) + [f"{self.most:g} or less"] * (self.most < inf)
         words = [f"{self.least:g} to {self.most:g}"] if len(words) == 2 else words
         words += ["above 0"] * self.positive + ["strictly increasing"] * self.rising
@@ -269,6 +269,6 @@ class Numbers:
 
 
 def fraction(value: object, name: str, least: float | None = None) -> float:
-    """Return a number above 0, or from `least` on, and below 1; raise `IdentifyError` for anything else."""
+    """Return a number below 1 and above 0 (or at least `least`); raise `IdentifyError` for anything else."""
     bounds = Numbers(positive=least is None, least=least or 0.0, most=math.nextafter(1.0, 0.0), error=IdentifyError)
     return float(bounds(value, name))

@@ -101,7 +101,7 @@ def first_fit(name):
 
 
 @pytest.mark.parametrize("name", FITS)
-def test_errors_are_not_far_beyond_those_of_a_straight_line(name):
+def test_errors_are_not_much_larger_than_those_of_a_straight_line(name):
     training, held_out = records()
     line, row = compare(
         training, validate=held_out, models={"a line": Linear.fit, "it": lambda _: first_fit(name)}

@@ -35,7 +35,7 @@ def identified(record):
     return GoldfarbCelanovic.fit(record, breakaway=np.interp(REACH, STACK.x, STACK.displacement(T * STACK.x)))
 
 
-def test_stiffnesses_and_break_forces_come_back_as_the_friction_becomes_dry():
+def test_stiffnesses_and_breakaway_forces_converge_to_the_truth():
     errors = []
     for resistance in RESISTANCES:
         paper = Physical.of(identified(recorded(resistance)[0]).actuator, **CONSTANTS)
@@ -48,7 +48,7 @@ def test_stiffnesses_and_break_forces_come_back_as_the_friction_becomes_dry():
         assert kind[-1] < 5e-4
 
 
-def test_it_is_their_recipe():
+def test_the_fit_follows_the_published_method():
     """Slopes of force over deformation between break points of the first rise, the deformation being charge over T."""
     record, q = recorded(250.0)
     top = int(np.argmax(record.voltage))
@@ -61,7 +61,7 @@ def test_it_is_their_recipe():
     np.testing.assert_allclose(np.diff(paper.parallel) / np.diff(paper.deformation), slopes[-1], rtol=1e-9)
 
 
-def test_the_loops_after_the_rise_follow():
+def test_the_loops_after_the_rise_are_predicted():
     errors = []
     for resistance in RESISTANCES:
         record, _ = recorded(resistance)

@@ -116,7 +116,7 @@ def test_the_start_of_duhem_lies_on_its_closed_major_loop(seed):
     assert loop[1] == pytest.approx(model.state.displacement, abs=1e-12 * STROKE)
 
 
-def test_minor_loops_do_not_close_as_the_literature_says():
+def test_minor_loops_of_these_models_do_not_close():
     path = [100, 0, 60, 40, 60, 40, 60]
     for model in (boucwen(1), duhem(1)):
         y = model.simulate(path).displacement
@@ -159,7 +159,7 @@ def test_duhem_is_recovered(seed):
     np.testing.assert_allclose(found.simulate(walk(seed)).displacement, y, rtol=0, atol=1e-5 * np.ptp(y))
 
 
-def test_fits_are_seeded():
+def test_fits_with_the_same_seed_are_equal():
     record = record_of(boucwen(5))
     fits = [BoucWen.fit(record, starts=20, delay=0.0, seed=3) for _ in range(2)]
     assert len({(fit.alpha, fit.beta, fit.gamma, *fit.cubic) for fit in fits}) == 1
@@ -167,7 +167,7 @@ def test_fits_are_seeded():
 
 @pytest.mark.parametrize(("fit", "own", "other"), [(BoucWen.fit, 0.5, 4.0), (Duhem.fit, 2.0, 5.0)])
 @pytest.mark.nightly
-def test_as_good_as_their_literature(fit, own, other):
+def test_errors_are_those_of_the_literature(fit, own, other):
     """Largest error in % of the stroke on held-out loops; the ratio of the ends alone misses by 10 % and more."""
     drive = Sampling(sample_rate=4.0)
     tops, others = (
@@ -183,7 +183,7 @@ def test_as_good_as_their_literature(fit, own, other):
         assert 100 * rms(miss) / truth.stroke < 0.5 * most
 
 
-def test_a_lag_that_the_model_explains_is_not_taken_for_a_delay():
+def test_a_lag_of_the_model_itself_is_not_taken_for_a_delay():
     truth, tops = BoucWenActuator(seed=2), standard.descending_tops(200, drive=Sampling(sample_rate=4.0))
     record = Record(tops.time, tops.voltage, truth.play(tops.voltage, time=tops.time))
     assert BoucWen.fit(record, starts=30).delay == 0.0

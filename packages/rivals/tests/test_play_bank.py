@@ -55,7 +55,7 @@ def slowly(bank, voltage, state, time=None):
 
 
 @given(SEEDS, st.integers(1, 12), st.integers(0, 5))
-def test_the_sum_of_curves_by_a_second_way(seed, plays, knots):
+def test_a_second_method_gives_the_same_sum_of_curves(seed, plays, knots):
     bank = random_bank(seed, plays, knots)
     state = random_state(bank, seed)
     voltage = np.random.default_rng([seed, 2]).uniform(-20, 130, 40)
@@ -64,7 +64,7 @@ def test_the_sum_of_curves_by_a_second_way(seed, plays, knots):
     assert bank.simulate(voltage[-1:], after, None)[0] == pytest.approx(y[-1:], abs=1e-17)
 
 
-def test_low_passes_by_small_steps():
+def test_low_passes_agree_with_small_steps():
     bank = random_bank(3, 4, 3, passes=5)
     state = random_state(bank, 3)
     rng = np.random.default_rng(5)
@@ -76,7 +76,7 @@ def test_low_passes_by_small_steps():
 
 
 @given(SEEDS, st.integers(1, 12), st.integers(0, 8), st.integers(0, 4), st.sampled_from([0.0, 0.5, 1.0]))
-def test_the_walk_is_the_inverse(seed, plays, knots, passes, flat):
+def test_the_stepwise_inverse_is_exact(seed, plays, knots, passes, flat):
     bank = random_bank(seed, plays, knots, passes, flat)
     state = random_state(bank, seed)
     rng = np.random.default_rng([seed, 3])
@@ -91,7 +91,7 @@ def test_the_walk_is_the_inverse(seed, plays, knots, passes, flat):
 
 
 @given(SEEDS, st.integers(1, 30), st.booleans())
-def test_the_closed_form_inverse_says_what_the_walk_says(seed, plays, reached_by_a_history):
+def test_closed_form_and_stepwise_inverse_agree(seed, plays, reached_by_a_history):
     rng = np.random.default_rng(seed)
     thresholds = np.concatenate([[0.0], np.cumsum(rng.uniform(0.1, 4, plays - 1))])
     weights = rng.exponential(1e-8, plays) * (rng.random(plays) > 0.3)
@@ -111,7 +111,7 @@ def test_the_closed_form_inverse_says_what_the_walk_says(seed, plays, reached_by
 
 
 @given(SEEDS)
-def test_a_bank_forgets_what_is_wiped_out_and_cuts_into_parts(seed):
+def test_a_bank_wipes_out_its_memory_and_continues_in_parts(seed):
     bank = random_bank(seed, 10, 4, passes=2)
     rng = np.random.default_rng([seed, 4])
     voltage, time = rng.uniform(0, VOLTS, 30), np.cumsum(rng.uniform(0.1, 1, 30))
@@ -125,7 +125,7 @@ def test_a_bank_forgets_what_is_wiped_out_and_cuts_into_parts(seed):
     np.testing.assert_array_equal(state.plays, end.plays)
 
 
-def test_a_time_that_begins_anew_follows_by_its_first_interval():
+def test_a_time_that_begins_again_continues_after_one_interval():
     bank = random_bank(1, 3, 2, passes=2)
     voltage = np.array([10.0, 80, 40])
     _, state = bank.simulate(voltage, bank.state_after_descent(0.0), [5.0, 6, 7])
@@ -134,13 +134,13 @@ def test_a_time_that_begins_anew_follows_by_its_first_interval():
     np.testing.assert_allclose(anew, on, rtol=1e-14)
 
 
-def test_descended_is_where_a_long_branch_ends():
+def test_the_state_after_descent_is_that_after_a_long_branch():
     bank = random_bank(2, 8, 3)
     _, down = bank.simulate(np.array([400.0, 60]), bank.state_after_descent(0.0), None)
     np.testing.assert_array_equal(down.plays, bank.state_after_descent(60.0).plays)
 
 
-def test_what_no_voltage_reaches_is_refused():
+def test_an_unreachable_displacement_is_refused():
     bank = PlayBank([0.0], [[0.0, 10.0]], [[0, 1e-7, 0]])
     v, _ = bank.compensate(np.array([0.0, 1e-6, 0.5e-6]), bank.state_after_descent(0.0), None)
     np.testing.assert_allclose(v, [0, 10, 5])

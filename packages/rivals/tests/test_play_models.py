@@ -107,7 +107,7 @@ def test_the_weights_of_a_prandtl_ishlinskii_truth_are_recovered():
     assert found.simulate(np.zeros(1)).displacement == pytest.approx(lowest, abs=1e-9 * STROKE)
 
 
-def test_plays_that_never_moved_add_a_constant_only():
+def test_plays_that_never_move_only_add_a_constant():
     """A small loop from an unknown state and a large one: each stretch has its offset, and the weights are exact."""
     weights = np.append(5e-8, np.full(9, 3e-9))
     bank = PlayBank(10.0 * np.arange(10), [()] * 10, list(weights[:, None]))
@@ -133,7 +133,7 @@ def test_a_modified_prandtl_ishlinskii_truth_is_recovered():
     assert found.parameters == 15
 
 
-def test_kernels_by_their_own_definition():
+def test_kernels_agree_with_their_definition():
     """K <- min(max(k, r(v - p2)), r(v - p1)), kernel by kernel, against the plays with ramps."""
     found = KrasnoselskiiPokrovskii.fit(recorded(PreisachActuator().play, through(TOPS)), levels=6, delay=0.0)
     voltage, spacing = wander(5, 40, 10)[1:], VOLTS / 6
@@ -184,14 +184,14 @@ NUMBERS = [
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("kind", "truth", "numbers"), NUMBERS)
-def test_how_good_they_are_on_held_out_paths(kind, truth, numbers):
+def test_errors_on_held_out_paths_are_within_their_bounds(kind, truth, numbers):
     got = missed(fitted(kind, truth), truth())
     # Half as much again for other processors' rounding, which moves what nonnegative least squares keeps.
     assert np.all(np.array(got) < 1.5 * np.array(numbers))
 
 
 @pytest.mark.nightly
-def test_low_passes_are_kept_where_there_is_creep_and_only_there():
+def test_low_passes_are_kept_only_with_creep():
     assert fitted(GeneralizedPrandtlIshlinskii, CREEPING).bank.times.size > 4
     assert fitted(GeneralizedPrandtlIshlinskii, PreisachActuator).bank.times.size == 0
     assert fitted(GeneralizedPrandtlIshlinskii, BoucWenActuator).bank.times.size == 0
@@ -210,7 +210,7 @@ def test_low_passes_of_a_record_are_exact_for_straight_branches():
 
 
 @pytest.mark.parametrize("kind", [MODELS[0], *map(at_night, MODELS[1:])])
-def test_offsets_of_records_are_free(kind):
+def test_each_record_has_a_free_offset(kind):
     trial = training(PlayActuator)
     moved = [Record(r.time, r.voltage, r.displacement + 2e-6 * q, r.name) for q, r in enumerate(trial)]
     alike = fitted(kind, PlayActuator), kind.fit(moved, delay=0.0)
@@ -219,7 +219,7 @@ def test_offsets_of_records_are_free(kind):
 
 
 @pytest.mark.parametrize("kind", [MODELS[0], *map(at_night, MODELS[1:])])
-def test_where_the_voltage_has_its_zero_does_not_matter(kind):
+def test_the_zero_of_the_voltage_has_no_effect(kind):
     trial = training(PlayActuator)
     moved = [Record(r.time, r.voltage - 70.0, r.displacement, r.name) for r in trial]
     first = fitted(kind, PlayActuator).simulate(wander(3)).displacement
@@ -249,7 +249,7 @@ def test_a_resonance_does_not_shift_the_axis(kind):
     assert abs(error.mean()) < 0.01
 
 
-def test_what_low_passes_held_before_a_record_does_not_matter():
+def test_the_initial_outputs_of_low_passes_have_no_effect():
     """One record, begun from rest and begun in the midst of motion: low-passes and slopes are the truth's."""
     truth = PlayBank([0.0, 20.0], [()] * 2, [[5e-8], [2e-8]], 0.0, [2.0, 30.0], [3e-9, 4e-9])
     before, voltage = through((0, 1, 0.4, 1)), through((1, 0, 1, 0, 0.7, 0.2, 0.9, 0))
@@ -271,12 +271,12 @@ def test_what_low_passes_held_before_a_record_does_not_matter():
 
 
 @pytest.mark.parametrize("kind", [Linear, *dict.fromkeys(fit.__self__ for fit in RIVALS.values())])
-def test_every_baseline_is_one_and_none_is_built_upon(kind):
+def test_every_model_is_a_final_subclass_of_the_baseline(kind):
     assert issubclass(kind, AbstractBaseline)
     assert kind.__final__
 
 
-def test_a_creeping_model_needs_the_time_and_others_do_not():
+def test_only_a_model_with_creep_needs_the_time():
     creeping = GeneralizedPrandtlIshlinskii.fit(training(PlayActuator), lowpasses=[1.0, 30.0], delay=0.0)
     with pytest.raises(ModelError, match="model creeps:"):
         creeping.simulate([0, 1])
@@ -287,7 +287,7 @@ def test_a_creeping_model_needs_the_time_and_others_do_not():
     np.testing.assert_allclose(sent, wander(1), rtol=0, atol=1e-9 * VOLTS)
 
 
-def test_ramps_and_their_neighbours():
+def test_ramps_and_differences_of_neighbours_are_right():
     z = np.array([-1.0, 0.5, 1.5, 4.0])
     np.testing.assert_allclose(ramps(z, np.array([0.0, 1, 3])) @ [1, 2, 3, 4], [-1, 1, 3.5, 12])
     np.testing.assert_allclose(ramps(z, np.zeros(0)) @ [2], 2 * z)
@@ -319,7 +319,7 @@ def test_impossible_options_are_refused(kind, options, message):
 
 
 @pytest.mark.parametrize("kind", MODELS)
-def test_what_are_no_records_is_refused(kind):
+def test_other_objects_than_records_are_refused(kind):
     with pytest.raises(IdentifyError, match="no records"):
         kind.fit([])
     with pytest.raises(IdentifyError, match=r"need records"):

@@ -61,7 +61,7 @@ def path(seed, n, cells):
 
 
 @given(SEEDS, st.integers(1, 9), st.integers(0, 60))
-def test_equal_to_relays_one_by_one(seed, cells, n):
+def test_the_model_equals_a_sum_of_single_relays(seed, cells, n):
     held = densities(seed, cells)
     voltage = path(seed, n, cells)
     np.testing.assert_allclose(
@@ -113,7 +113,7 @@ def recorded(model, tops):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_its_own_class_is_recovered_both_ways(seed):
+def test_both_fits_recover_a_preisach_truth(seed):
     cells = 8
     truth = of(densities(seed, cells))
     record = recorded(truth, VOLTS * np.arange(cells - 1, 0, -1) / cells)
@@ -127,7 +127,7 @@ def test_its_own_class_is_recovered_both_ways(seed):
     assert fitted.parameters == read.parameters == 37
 
 
-def test_a_curve_that_turns_early_tells_only_what_it_went_through():
+def test_a_curve_that_turns_early_gives_e_only_along_its_way():
     """A fall from the top that ends half-way, as in a staircase, leaves the rest to the falls that go on."""
     cells = 8
     truth = of(densities(1, cells))
@@ -141,7 +141,7 @@ def test_a_curve_that_turns_early_tells_only_what_it_went_through():
     np.testing.assert_allclose(both.everett, alone.everett, atol=2e-3 * STROKE)
 
 
-def test_slow_curves_count_where_there_are_slow_and_fast_ones():
+def test_only_slow_curves_are_used_if_others_are_fast():
     """The same curves, driven ten times as fast and swollen as by a resonance, leave the table alone."""
     truth = of(densities(2, 8))
     slow = recorded(truth, VOLTS * np.arange(7, 0, -1) / 8)
@@ -161,7 +161,7 @@ def plays():
 
 @pytest.mark.parametrize(("fit", "most"), [(Preisach.fit, 0.3), (Preisach.from_reversal_curves, 0.6)])
 @pytest.mark.nightly
-def test_as_good_as_its_literature_on_plays_and_relays(plays, fit, most):
+def test_errors_on_plays_and_relays_are_those_of_the_literature(plays, fit, most):
     for truth in (plays[2], PreisachActuator()):
         tops = plays[0].voltage
         truth.relax()
@@ -173,7 +173,7 @@ def test_as_good_as_its_literature_on_plays_and_relays(plays, fit, most):
 
 
 @pytest.mark.nightly
-def test_smoothing_fills_what_tops_leave_open(plays):
+def test_smoothing_determines_what_descending_tops_leave_open(plays):
     voltage = plays[1].voltage
     plays[2].relax()
     true = plays[2].play(voltage, measured=False)[400:]
@@ -181,7 +181,7 @@ def test_smoothing_fills_what_tops_leave_open(plays):
     assert rms(true - smooth) < 0.5 * rms(true - bare)
 
 
-def test_refusals():
+def test_impossible_arguments_are_refused():
     table = of(densities(0, 4)).everett
     with pytest.raises(ModelError, match="finite nodes"):
         Preisach((0, 1), table[:3])

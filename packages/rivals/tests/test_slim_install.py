@@ -64,7 +64,7 @@ def compared(python, folder, *arguments):
     return json.loads(done.stdout)
 
 
-def test_in_a_slim_environment_its_rows_appear(slim, wheel, tmp_path):
+def test_an_install_adds_rows_to_compare(slim, wheel, tmp_path):
     record = plain_records.loops(plain_records.plant(), plain_records.THREE_LOOPS, name="loops")
     dehyst.write_record(tmp_path / "loops.csv", record)
     before = compared(slim, tmp_path)

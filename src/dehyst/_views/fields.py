@@ -1,4 +1,4 @@
-"""JSON values of an object, from a list of its keys."""
+"""JSON values of an object, from a list of keys."""
 
 from __future__ import annotations
 

@@ -27,14 +27,14 @@ def _shown(value: object) -> str:
 
 
 def place(value: float, width: float) -> str:
-    """Return a number of a range as text, with decimals down to a thousandth of its `width`: "16.15", "0"."""
+    """Return a number of a range as text, with decimals to a thousandth of the range's `width`: "16.15", "0"."""
     decimals = min(12, max(0, 3 - floor(log10(width)))) if 0 < width < inf else 6
-    # Adding 0 leaves no minus before 0.
+    # The sum with 0 removes the minus of -0.
     return f"{round(value, decimals) + 0.0:.15g}"
 
 
 def ends(low: float, high: float, unit: str = "") -> str:
-    """Return a range as text, see `place`: "0 to 16.15 um"; one number if this range has no width."""
+    """Return a range as text, see `place`: "0 to 16.15 um"; one number if the range has no width."""
     written = [place(end, high - low) for end in (low, high)]
     return f"{' to '.join(dict.fromkeys(written))} {unit}".rstrip()
 

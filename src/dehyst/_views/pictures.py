@@ -1,4 +1,4 @@
-"""Plots of objects, by `dehyst.report`, which is a layer above and is imported when needed."""
+"""Plots of objects. They import `dehyst.report`, a layer above, when they are called."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, cast
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# By name: an import statement would lead upward. See docs/explanation/decisions/0011-plot-methods.md.
+# The import by name points upward in the layers: see docs/explanation/decisions/0011-plot-methods.md.
 _ROOM = "dehyst.report.plots"
 
 
 class Plotted:
-    """An object whose pictures ``dehyst.report.pictures`` lists by the name of its class."""
+    """An object whose pictures are listed in ``dehyst.report.pictures`` by the name of its class."""
 
     __slots__ = ()
 

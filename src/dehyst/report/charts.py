@@ -1,4 +1,4 @@
-"""Charts: their contents, independent of what draws them, and their numbers inside a page."""
+"""Charts: their contents, independent of the drawing library, and their numbers inside a page."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from dehyst._types import Array
 
 Indices: TypeAlias = NDArray[np.intp]
 
-# Names of colours in web/style.css, where each has a light and a dark form.
+# Names of colours in web/style.css, which has a light and a dark form of each.
 Colour: TypeAlias = Literal["measured", "simulated", "rising", "falling", "without", "ink", "tested"]
 Kind: TypeAlias = Literal["line", "points", "area", "cells"]
-# Steps of a 16-bit column from its least to its largest value, and the code for a missing value.
+# A column of 16 bits: steps between its least and its largest value, and the code for a missing value.
 _STEPS, _MISSING = 65534, 65535
-# Samples of a page that are drawn of long series together, what each has at least, and of a loop for each of others.
+# Samples of all long series of a page together, least samples of a series, and weight of a loop among other series.
 _SAMPLES, _LEAST, _LOOP = 8000, 200, 3
-# A line leaves out vertices that are this near to the line of their neighbours, in parts of the range: the first does
-# not show, the others count if there are too many. It begins with this multiple of what is drawn.
+# A line leaves out vertices this near to the line between their neighbours, in parts of the range. The first distance
+# is invisible; the larger ones are used if too many vertices are left. Series are first cut to a multiple of `most`.
 _NEAR, _ROUGH = (5e-4, 1e-3, 2e-3, 4e-3, 8e-3), 20
 
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis: quantity, unit, and range, if not the data's. A `log` axis has positive numbers."""
+    """An axis: quantity, unit, and range (None: that of the data). A `log` axis has positive numbers."""
 
     quantity: str
     unit: str = ""
@@ -39,11 +39,11 @@ class Axis:
 
     @property
     def label(self) -> str:
-        """Quantity and unit."""
+        """The quantity with its unit."""
         return f"{self.quantity} ({self.unit})" if self.unit else self.quantity
 
     def scaled(self, values: ArrayLike) -> Array:
-        """Return values as a page stores them: of a `log` axis their decimal exponents."""
+        """Return values for the page: for a `log` axis their decimal exponents."""
         numbers = np.asarray(values, dtype=np.float64)
         return np.log10(numbers) if self.log else numbers
 
@@ -71,17 +71,17 @@ class Series:
 
     @property
     def rising(self) -> bool:
-        """Whether it is a line whose x rises."""
+        """Whether the series is a line whose x rises."""
         return self.kind == "line" and self.x.size > 1 and bool((np.diff(self.x) > 0).all())
 
     @property
     def parts(self) -> int:
-        """Parts of what a page may hold: loops need more samples than a curve over time, or dots."""
+        """Weight in the samples of a page: loops need more samples than a curve over time, or dots."""
         return _LOOP if self.kind == "line" and not self.rising else 1
 
 
 def stems(name: str, x: Array, top: Array, colour: Colour, *, width: float = 1.4) -> tuple[Series, ...]:
-    """Return upright lines from 0 to `top` at each x, as one curve; none without values."""
+    """Return vertical lines from 0 to `top` at each x, as one curve; empty without values."""
     ends = np.zeros(x.shape), top, np.full(x.shape, np.nan)
     line = Series(name, np.repeat(x, 3), np.column_stack(ends).ravel(), colour, width=width)
     return (line,) if x.size else ()
@@ -94,14 +94,14 @@ def gaps(time: Array) -> Indices:
 
 
 def broken(time: Array, values: Array) -> Array:
-    """Return values (n,) with the last one before a gap missing, so that no line crosses it."""
+    """Return values (n,) with NaN before each gap, so that no line crosses the gap."""
     out = np.array(values, dtype=np.float64)
     out[gaps(time)] = np.nan
     return out
 
 
 def vertices(x: Array, y: Array, most: int) -> Indices:
-    """Return the samples of a line (n,) that a picture shows, about `most`; x and y: in units of their ranges."""
+    """Return the samples of a line (n,) to draw, about `most`; x and y are in units of their ranges."""
     at, place = _extremes(np.arange(x.size), y, _ROUGH * most), x + 1j * y
     for near, first in product(_NEAR, (1, 2) * 4):
         if at.size <= most and near > _NEAR[0]:
@@ -109,7 +109,7 @@ def vertices(x: Array, y: Array, most: int) -> Indices:
         middle = np.arange(first, at.size - 1, 2)
         way, whole = (place[at[middle + k]] - place[at[middle - 1]] for k in (0, 1))
         part = np.clip(np.real(way * whole.conj()) / np.maximum(np.abs(whole) ** 2, 1e-300), 0, 1)
-        # NaN, which interrupts a line, is never near.
+        # NaN interrupts a line, and is never near.
         at = np.delete(at, middle[np.abs(way - part * whole) < near])
     return _extremes(at, y, most)
 
@@ -121,7 +121,7 @@ def _range(values: Array) -> float:
 
 
 def _extremes(at: Indices, y: Array, most: int) -> Indices:
-    """Return the lowest and the highest of neighbouring samples, `most` in all, if there are more."""
+    """Return the lowest and the highest of neighbouring samples, at most `most` in all."""
     if at.size <= most:
         return at
     each = -(-at.size // (most // 2))
@@ -151,13 +151,13 @@ class Chart:
     notes: Sequence[tuple[str, str]] = ()
 
     def shown(self, most: int) -> Chart:
-        """Return the chart with the samples that its picture shows, of a long series about `most`."""
+        """Return the chart with the samples to draw, about `most` of a long series."""
         sides = [(self.x, [series.x for series in self.series]), (self.y, [series.y for series in self.series])]
         scales = [_range(axis.scaled(np.concatenate(values))) for axis, values in sides]
         return replace(self, series=[self._thinned(series, most, scales) for series in self.series])
 
     def _thinned(self, series: Series, most: int, scales: Sequence[float]) -> Series:
-        """Return a series with the samples that show in a picture whose axes have ranges `scales`."""
+        """Return a series with the samples to draw in a picture whose axes have ranges `scales`."""
         most *= series.parts
         if series.x.size <= most or series.kind == "cells" or series.names:
             return series
@@ -172,7 +172,7 @@ class Chart:
 
 @dataclass(eq=False)
 class ChartData:
-    """The charts of one page: long series share what the page may hold, and columns of several charts are one."""
+    """The charts of one page: long series share its samples, and equal columns are stored once."""
 
     _charts: list[Chart] = field(default_factory=list)
     _places: dict[bytes, int] = field(default_factory=dict)
@@ -186,13 +186,13 @@ class ChartData:
         return len(self._charts) - 1
 
     def json(self) -> str:
-        """Return all charts as JSON for use inside a page."""
+        """Return all charts as JSON inside a page."""
         long = (series.parts for chart in self._charts for series in chart.series if series.x.size > _LEAST)
         most = max(_LEAST, _SAMPLES // max(sum(long), 1))
         charts = [self._stored(chart.shown(most)) for chart in self._charts]
         columns = [_column(np.frombuffer(values)) for values in self._places]
         text = json.dumps({"columns": columns, "charts": charts}, separators=(",", ":"), allow_nan=False)
-        # Nothing inside may end the element, whatever a name contains.
+        # A name must not end the <script> element.
         return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
     def _stored(self, chart: Chart) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from dehyst.web import files
 Row: TypeAlias = "Sequence[str | tuple[str, str]]"
 
 MINUS = "\N{MINUS SIGN}"
-# The policy forbids the browser any request, whatever a name or a sentence contains.
+# The policy forbids all requests of the browser, also for a name or a sentence that contains HTML.
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 
 
@@ -36,7 +36,7 @@ class Charts:
     beside: tuple[str, ...] = ()
 
     def html(self, data: ChartData) -> str:
-        """Return the section, its charts stored in the page's data; nothing without charts."""
+        """Return the section, and add its charts to the page's data; empty without charts."""
         if not self.charts:
             return ""
         places = [f'<div data-chart="{data.add(chart)}"></div>' for chart in self.charts]
@@ -63,7 +63,7 @@ def document(title: str, parts: Iterable[Part]) -> str:
         script = (
             f'<script type="application/json" id="chart-data">{data.json()}</script>\n'
             f'<script type="module">{source}</script>\n'
-            '<noscript><p class="muted">The charts are drawn by a script inside this page; it is switched off.</p>'
+            '<noscript><p class="muted">A script inside this page draws the charts; scripts are switched off.</p>'
             "</noscript>\n"
         )
     return (
@@ -89,7 +89,7 @@ def number(value: float) -> str:
 
 
 def length_unit(length: float) -> tuple[float, str]:
-    """Return the factor from metres, and the name, of the unit in which a length is written: µm, or nm below 1 µm."""
+    """Return the factor from metres to the unit of a written length, and the unit: µm, or nm below 1 µm."""
     return (1e9, "nm") if abs(length) < 1e-6 else (1e6, "µm")
 
 
@@ -100,7 +100,7 @@ def length(metres: float) -> str:
 
 
 def spelled(text: str) -> str:
-    """Write um as µm and minus signs as such; the text is escaped afterwards."""
+    """Write um as µm and hyphens before digits as minus signs; the text is escaped afterwards."""
     return re.sub(r"(?<![\w.\-])-(?=\d)", MINUS, re.sub(r"(?<=\d |V/)um\b", "µm", text))
 
 
@@ -110,7 +110,7 @@ def words(text: str) -> str:
 
 
 def bullets(title: str, items: Iterable[str], none: str = "") -> str:
-    """Set a list of HTML under a heading; the words for `none` if there are no items, or nothing."""
+    """Return a list of HTML under a heading; without items, the sentence `none`, or nothing."""
     body = "\n".join(f"<li>{item}</li>" for item in items)
     if not body and not none:
         return ""
@@ -118,13 +118,13 @@ def bullets(title: str, items: Iterable[str], none: str = "") -> str:
 
 
 def reproduction(command: str | None) -> str:
-    """Return the command line that made a page; empty if it is not known."""
+    """Return a section with the command line that made a page; empty if it is not known."""
     section = '<section class="command"><h2>How to reproduce</h2>\n<pre>{}</pre></section>'
     return section.format(escape(command)) if command else ""
 
 
 def table(head: Row, rows: Iterable[Row], texts: int) -> str:
-    """Set a table whose first `texts` columns are words; the second text of a cell is set small beneath the first."""
+    """Return a table whose first `texts` columns are words; the second text of a cell is small, below the first."""
 
     def cells(tag: str, row: Row) -> str:
         written = []

@@ -1,4 +1,4 @@
-"""Pages: of an identification or a calibration, of an assessment, of a comparison, and of a record."""
+"""Pages about an identification or a calibration, an assessment, a comparison, and a record."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def render(
 def _report(
     fit: Fit, insight: Insight | None, followed: Mapping[str, TrackedPath], command: str | None
 ) -> Iterable[Part]:
-    """Yield the answer, and all else in one fold."""
+    """Yield the verdict first, and all other sections in one fold."""
     actuator = fit.actuator if isinstance(fit.actuator, Actuator) else None
     turns = ((trace.record, trace.time, trace.voltage) for trace in fit.traces)
     yield _facts(fit, actuator)
@@ -92,7 +92,7 @@ def _report(
     yield sections.remaining_error(fit)
     yield from sections.turned(turn_plane(turns, actuator.limits if actuator else None))
     if insight is not None:
-        yield bullets("What the records leave open", map(words, insight.warnings()))
+        yield bullets("What the records do not determine", map(words, insight.warnings()))
         yield from sections.determined(insight)
     yield sections.candidates(fit)
     yield sections.errors_table(fit)
@@ -113,7 +113,7 @@ def _facts(fit: Fit, actuator: Actuator | None) -> str:
 
 
 def _reproduce(fit: Fit, command: str | None) -> str:
-    """Return the command, the options of the identification, and its records with their sums."""
+    """Return the command, the options of the identification, and its records with their checksums."""
     options = dict(fit.options)
     records = [*options.pop("records", ()), *options.pop("validation", ())]
     entries = (f"<dt>{escape(str(key))}</dt><dd>{escape(_text(value))}</dd>" for key, value in options.items())
@@ -155,7 +155,7 @@ def _insight(found: Insight) -> list[Part]:
     ]
 
 
-# Bars of one model are no comparison; largest ratio of the longest to the median.
+# Least number of models for bars; largest ratio of the longest bar to the median.
 _FEWEST_BARS, _LONGEST = 2, 6.0
 _ROLES = {"validation": "Held out", "training": "Training"}
 
@@ -172,12 +172,12 @@ def write_comparison(path: PathLike, found: ModelComparison, *, command: str | N
 
 
 def _bars(found: ModelComparison) -> str:
-    """Return a picture: the largest and RMS error of each model on what was held out, the least RMS error first."""
+    """Return bars: the largest and RMS error of each model on held-out time, the least RMS error first."""
     scores = [(score, row.name) for row in found.rows if (score := row.worst("validation")) is not None]
     if len(scores) < _FEWEST_BARS:
         return ""
     scores.sort(key=lambda pair: pair[0].rms)
-    # Beside a linear ratio the others would be dots: the scale ends at some times the middle.
+    # The bar of a linear ratio would make the others too short: the scale ends at a multiple of the median.
     end = min(max(score.largest for score, _ in scores), _LONGEST * scores[len(scores) // 2][0].largest) or 1.0
     lines = "\n".join(
         f"<dt>{f'<b>{escape(name)}</b>' if name == OURS else escape(name)}</dt><dd>"
@@ -188,7 +188,7 @@ def _bars(found: ModelComparison) -> str:
         for score, name in scores
     )
     return (
-        '<h2>Which model predicts best</h2>\n<p class="muted">Largest and RMS error on what was held out, in % of the '
+        '<h2>Which model predicts best</h2>\n<p class="muted">Largest and RMS error on held-out time, in % of the '
         f'stroke; the least RMS first.</p>\n<dl class="bars">{lines}</dl>'
     )
 

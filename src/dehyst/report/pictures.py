@@ -1,4 +1,4 @@
-"""Every chart, as a function of what it shows: pages and `plot` methods draw the same ones."""
+"""A function for each chart: pages and `plot` methods draw the same charts."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def record_loop(record: Record) -> Chart:
 
 
 def record_in_time(record: Record) -> list[Chart]:
-    """Return voltage and displacement of a record of one axis against time, and a signal that was counted."""
+    """Return voltage and displacement of a record of one axis over time, and its signal of fringes, if any."""
     of_one_axis(record)
     factor, unit = length_unit(record.stroke)
     quantities = [(record.voltage, VOLTAGE), (record.displacement * factor, Axis("displacement", unit))]
@@ -54,7 +54,7 @@ def _with_events(record: Record, x: Array, y: Array) -> list[Series]:
 
 
 def actuator_loops(found: Actuator) -> Chart:
-    """Return the major loop and inner loops of an actuator, as slow motion draws them."""
+    """Return the major loop and inner loops of an actuator in slow motion."""
     factor, unit = length_unit(float(np.ptp(found.spring.displacement)))
     low, high = voltages_of(found)
     peaks = low + np.array([1.0, 0.8, 0.6, 0.4, 0.2]) * (high - low)
@@ -68,7 +68,7 @@ def actuator_loops(found: Actuator) -> Chart:
 
 
 def elements(actuator: Actuator) -> Chart:
-    """Return the stiffness of each slip element, of graded ones the largest, over its breakaway elongation."""
+    """Return the stiffness of each slip element over its breakaway elongation; for graded elements the largest."""
     slip = actuator.slip
     factor, unit = length_unit(float(slip.breakaway[-1]))
     rho, stiffness = slip.breakaway * factor, slip.friction / slip.breakaway * 1e-6
@@ -123,7 +123,7 @@ def hysteresis(traces: Sequence[Trace]) -> Chart:
 
 
 def _both(traces: Sequence[Trace], measured: Sequence[Array], quantity: str) -> Chart:
-    """Return a chart over voltage of what was measured and, in front, simulated, which is less by the residual."""
+    """Return a chart over voltage of measured and simulated displacement; these differ by the residual."""
     factor, unit = length_unit(max(*(float(np.ptp(y)) for y in measured), 1e-12))
     dots, lines = [], []
     for trace, shown in zip(traces, measured, strict=True):
@@ -134,7 +134,7 @@ def _both(traces: Sequence[Trace], measured: Sequence[Array], quantity: str) -> 
 
 
 def off_line(traces: Sequence[Trace]) -> tuple[list[Array], float]:
-    """Return measured displacements less their best straight line over voltage [m], and the slope of that [m/V]."""
+    """Return measured displacements minus their best straight line over voltage [m], and its slope [m/V]."""
     voltage, y = (np.concatenate([getattr(trace, name) for trace in traces]) for name in ("voltage", "measured"))
     middle, rest = voltage.mean(), y.mean()
     spread = float((voltage - middle) @ (voltage - middle))
@@ -143,7 +143,7 @@ def off_line(traces: Sequence[Trace]) -> tuple[list[Array], float]:
 
 
 def residual_in_time(traces: Sequence[Trace], stroke: float, limit: float | None = None) -> Chart:
-    """Return residuals [% of the stroke in m] against time; of one record the times that were not compared shaded."""
+    """Return residuals [% of the stroke in m] over time; for one record, times that were not compared are shaded."""
     colours: tuple[Colour, ...] = ("measured", "simulated", "rising", "falling")
     alone, series = len(traces) == 1, []
     for trace, colour in zip(traces, cycle(colours)):
@@ -155,7 +155,7 @@ def residual_in_time(traces: Sequence[Trace], stroke: float, limit: float | None
 
 
 def residual_over_displacement(traces: Sequence[Trace], stroke: float, limit: float | None = None) -> Chart:
-    """Return residuals [% of the stroke in m] against displacement, branches apart, with the means of bins."""
+    """Return residuals [% of the stroke in m] over displacement, by branch, with the means of bins."""
     factor, unit = length_unit(max(float(np.ptp(trace.measured)) for trace in traces))
     place = np.concatenate([trace.simulated * factor for trace in traces])
     off = np.concatenate([100 * trace.residual / stroke for trace in traces])
@@ -169,7 +169,7 @@ def residual_over_displacement(traces: Sequence[Trace], stroke: float, limit: fl
 
 
 def _residual(traces: Sequence[Trace], x: Axis, series: Sequence[Series], stroke: float, limit: float | None) -> Chart:
-    """Return a chart of residuals with the band of the noise, up to a `limit` [%] or as high as they are."""
+    """Return a chart of residuals with the noise band, up to a `limit` [%] or to the largest residual."""
     noise = _DEVIATIONS * 100 * max(white_noise(trace.residual) for trace in traces) / stroke
     most = max(largest(trace.residual) for trace in traces) if limit is None else limit * stroke / 100
     y = Axis("residual", _PERCENT, None if limit is None else (-limit, limit))
@@ -180,14 +180,14 @@ def _residual(traces: Sequence[Trace], x: Axis, series: Sequence[Series], stroke
 
 def _rising(trace: Trace) -> Mask:
     """Return whether each sample lies on a rising branch (n,); a hold belongs to the branch before it."""
-    # The simulated displacement moves in the direction of the voltage, and stands still with it.
+    # The simulated displacement moves in the direction of the voltage, and rests when the voltage rests.
     sign = np.sign(np.diff(trace.simulated, prepend=trace.simulated[:1]))
     last = np.maximum.accumulate(np.where(sign != 0, np.arange(sign.size), 0))
     return np.asarray(sign[last] >= 0)
 
 
 def _means(place: Array, values: Array) -> tuple[Array, Array]:
-    """Return the middles and the mean values of bins of equal width; NaN where samples are too few."""
+    """Return the centres and the mean values of bins of equal width; NaN for bins with too few samples."""
     if not place.size:
         return np.zeros(0), np.zeros(0)
     edges = np.linspace(place.min(), place.max(), _BINS + 1)
@@ -227,7 +227,7 @@ def planned_voltage(plan: PathPlan) -> Chart:
 
 
 def error_band(plan: PathPlan) -> Chart:
-    """Return the error to expect along a planned path [% of the stroke]; none without a promise."""
+    """Return the promised error along a planned path [% of the stroke]; empty without a promise."""
     axis, x = _clock(plan)
     missed, promise = (plan.expected - plan.displacement)[plan.first :], plan.promise
     series = []
@@ -238,14 +238,14 @@ def error_band(plan: PathPlan) -> Chart:
 
 
 def _clock(plan: PathPlan) -> tuple[Axis, Array]:
-    """Return time, or the number of the sample where no time was given."""
+    """Return time, or the number of each sample if no time was given."""
     if plan.time is None:
         return Axis("sample"), np.arange(plan.voltage.size - plan.first, dtype=np.float64)
     return TIME, plan.time[plan.first :] - plan.time[plan.first]
 
 
 def followed_path(followed: Mapping[str, TrackedPath]) -> list[Chart]:
-    """Return the wanted and the reached path, and the errors, which differ too much for one scale."""
+    """Return the wanted and the reached path, and the errors on another scale."""
     first = next(iter(followed.values()))
     factor, unit = length_unit(first.stroke)
     colours: tuple[Colour, ...] = ("simulated", "measured")
@@ -259,7 +259,7 @@ def followed_path(followed: Mapping[str, TrackedPath]) -> list[Chart]:
 
 
 def turning_points(plane: TurnPlane, path: Sequence[Turn] = ()) -> Chart:
-    """Return the plane of turning points with the tested cells, and where a path turns."""
+    """Return the plane of turning points with the tested cells, and the turning points of a path."""
     ends, cells = plane.edges[[0, -1]], plane.cells.astype(np.float64)
     series = [
         Series("", plane.edges, plane.edges, "tested", "cells", values=cells, darkest=3.0),
@@ -270,7 +270,7 @@ def turning_points(plane: TurnPlane, path: Sequence[Turn] = ()) -> Chart:
     edge = 0.03 * float(np.ptp(ends))
     shown = float(ends[0]) - edge, float(ends[1]) + edge
     x, y = (Axis(f"{which} turning point", "V", shown) for which in ("lower", "upper"))
-    notes = [("tested, paler: one branch of the loop only", "tested")]
+    notes = [("tested; paler: only one branch of the loop", "tested")]
     return Chart("Turning points", x, y, series, notes=notes)
 
 
@@ -295,7 +295,7 @@ def _traced(found: Fit | Recheck) -> tuple[list[Trace], float]:
         return [found.trace], found.stroke
     traces = [trace for trace in found.traces if trace.time.size]
     if not traces:
-        need = f"an identified one; it ended so: {found.outcome.value}"
+        need = f"an identified fit; this one ended with: {found.outcome.value}"
         raise ModelError(argument="plot", got="a fit without traces", need=need)
     return traces, stroke_of(found)
 
@@ -318,7 +318,7 @@ _TRACES: Mapping[str, Callable[[Any], Chart]] = {
     "residuals": lambda found: residual_over_displacement(*_traced(found)),
     "residuals in time": lambda found: residual_in_time(*_traced(found)),
 }
-# The pictures of each class by kind, the usual one first.
+# The pictures of each class by kind, the default first.
 KINDS: Mapping[str, Mapping[str, Callable[[Any], Chart]]] = {
     "Record": {"loop": record_loop, "time": lambda record: record_in_time(record)[1]},
     "Actuator": {"loop": actuator_loops, "elements": elements, "creep": creep},

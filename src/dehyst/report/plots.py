@@ -1,4 +1,4 @@
-"""Figures for print in the house style, as the paper's pages use them, and `plot` methods on matplotlib's axes."""
+"""Figures for print in the house style, and `plot` methods on matplotlib's axes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Measured and simulated from Okabe and Ito, the branches from Tol: distinct in any colour vision, and in grey.
+# Colours by Okabe and Ito for measured and simulated, by Tol for branches: distinct in any colour vision, and in grey.
 MEASURED, SIMULATED, FALLING, INK = "#0072B2", "#D55E00", "#332288", "#333333"
 _COLOURS = {
     "measured": MEASURED,
@@ -37,10 +37,10 @@ _COLOURS = {
     "ink": INK,
     "tested": "#CFE6D8",
 }
-# Width of a journal's column and page [in], and the least resolution of a line drawing with greys.
+# Width of a journal's column and page [in], and least resolution of a line drawing with greys [dots/in].
 COLUMN, PAGE = 3.4, 7.0
 _JOURNAL_DPI = 600
-# More points than this become one image inside a figure: as vectors they would take 100 bytes each. Most samples.
+# More points than the first number become one image in a figure: a vector takes 100 bytes a point. Most samples.
 _VECTOR_POINTS, _MOST = 1500, 20_000
 # Points in print for each pixel of a page.
 _POINTS = 0.75
@@ -70,14 +70,14 @@ _STYLE: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Drawing:
-    """A finished figure: an SVG file, its part for a page, and a PNG file."""
+    """A finished figure: an SVG file, SVG for a page, and a PNG file."""
 
     svg: str
     inline: str
     png: bytes
 
     def save(self, path: str | PathLike[str]) -> list[Path]:
-        """Write path.svg and path.png, each wholly or not at all; raises FileFormatError if that is impossible."""
+        """Write path.svg and path.png, each completely or not at all; raise FileFormatError if that is impossible."""
         svg, png = (Path(f"{path}{suffix}") for suffix in (".svg", ".png"))
         write_atomically(svg, self.svg)
         write_atomically(png, self.png)
@@ -114,7 +114,7 @@ def drawing(
 
 
 def line(ax: Axes, x: Array, y: Array, **style: Any) -> None:
-    """Draw a line through many samples with only the vertices that print can show."""
+    """Draw a line through many samples with only the vertices that are visible in print."""
     at = vertices(x / (np.ptp(x) or 1.0), y / (np.ptp(y) or 1.0), _MOST)
     ax.plot(x[at], y[at], **style)
 
@@ -144,14 +144,14 @@ def _inline(svg: str) -> str:
 
 
 def _plain(name: str) -> str:
-    """Return a name as plain text: no formula, no hidden label, and not too long."""
+    """Return a name as plain text for matplotlib: no formula, no hidden label, and not too long."""
     text = escaped(name)
     text = text if len(text) <= 60 else f"{text[:57]}..."
     return f"{' ' if text.startswith('_') else ''}{text}".replace("$", r"\$")
 
 
 def draw(found: object, kind: str | None, ax: Axes | None) -> Axes:
-    """Draw a picture of an object, by default the usual one, on axes or on those of a new figure; see `Plotted`."""
+    """Draw a picture of an object on the given axes, or on those of a new figure; see `Plotted`."""
     kinds = KINDS[type(found).__name__]
     name = next(iter(kinds)) if kind is None else kind
     choice(name, "kind", tuple(kinds), error=RecordError if isinstance(found, Record) else ModelError)
@@ -177,7 +177,7 @@ def _new_axes() -> Axes:
 
 
 def _voltage_behind(ax: Axes, found: Record) -> None:
-    """Draw the voltage behind the displacement, on an axis of its own."""
+    """Draw the voltage behind the displacement, on a second axis."""
     right: Any = ax.twinx()
     right.plot(found.time, found.voltage, color="#999999", lw=0.9)
     right.set_ylabel("voltage (V)", color="#666666")

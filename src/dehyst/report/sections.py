@@ -1,4 +1,4 @@
-"""Sections of pages: a fit, its actuator, an assessment, a measured path, and coupled axes."""
+"""Sections of pages about a fit, its actuator, an assessment, a measured path, and coupled axes."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _COLOURS = {Readiness.READY: "green", Readiness.USABLE: "amber", Readiness.NOT_U
 
 
 def verdict(fit: Fit) -> str:
-    """Return the verdict in the colour of its readiness: its number first, then the outcome of the identification."""
+    """Return the verdict in the colour of its readiness: the number first, then the outcome of the identification."""
     expected = fit.promise
     errors = (expected.largest, expected.rms, expected.measured, expected.noise)
     most, rms, measured, noise = (percent(error, expected.stroke, goal=expected.goal) for error in errors)
     said = (
         f"is the largest error to expect on any path within these voltages (RMS {rms}, from {expected.basis}; the goal "
         f"is {expected.goal:g} %), {expected.promise.apart}. "
-        f"The records are missed by {measured} RMS; the sensor's noise is {noise}. "
+        f"The RMS error on the records is {measured}; the sensor's noise is {noise}. "
         f"{'' if fit.outcome is Outcome.IDENTIFIED else fit.outcome.value}"
     )
     why = "".join(f"<li>{words(reason[0].upper() + reason[1:])}.</li>" for reason in expected.why_not_ready)
@@ -45,7 +45,7 @@ def verdict(fit: Fit) -> str:
 
 
 def before_and_after(fit: Fit) -> Part:
-    """Return the errors of a straight scale factor and of the model, on the first held-out record."""
+    """Return the errors of a straight scale factor and of the model on the first held-out record."""
     shown = _shown(fit)
     if not shown:
         return ""
@@ -54,28 +54,28 @@ def before_and_after(fit: Fit) -> Part:
     (off,), slope = pictures.off_line([trace])
     before, after = (number(100 * largest(error) / stroke) for error in (off, trace.residual))
     caption = (
-        f"Distance of this record, from its second turning point on, from the best straight scale factor, "
-        f"{number(slope * 1e6)} µm/V, and from the model: up to {before} % of the stroke before, {after} % after. "
-        "Drag over a part of a chart to enlarge it; double-click for the whole. The pointer reads out values."
+        f"Largest error on this record after its second turning point: {before} % of the stroke with the best straight "
+        f"scale factor ({number(slope * 1e6)} µm/V), {after} % with the model. "
+        "Drag over a part of a chart to enlarge it; double-click to show all. Point at a curve to read its values."
     )
     return Charts("Before and after", caption, [pictures.before_and_after(trace, stroke)], wide=True)
 
 
 def loops(fit: Fit) -> Charts:
-    """Return the loops off a straight line, measured and simulated, so that hysteresis fills the height."""
+    """Return measured and simulated loops minus a straight line, so that the hysteresis fills the height."""
     caption = (
         "Displacement minus a straight line, so that the hysteresis fills the height. Where the line (simulated) "
-        "leaves the dots (measured), the model is wrong; look at the turning points and at the minor loops."
+        "and the dots (measured) differ, the model is wrong; look at the turning points and at the minor loops."
     )
     charts = [pictures.hysteresis([trace]) for trace in _shown(fit)]
-    return Charts("Loops, off a straight line", caption + _only(fit), charts)
+    return Charts("Loops, minus a straight line", caption + _only(fit), charts)
 
 
 def residuals(fit: Fit) -> Part:
     """Return the residuals of the records in time."""
     caption = (
-        "Measured minus simulated. A slow trend in time is drift or creep. Grey parts of the time were not compared; "
-        "the list of repairs and omissions names them. All charts share one scale."
+        "Measured minus simulated. A slow trend in time is drift or creep. Grey times were not compared; "
+        "the list of repairs and omissions names them. All charts have the same scale."
     )
     return _residuals(fit, "Residuals in time", caption, pictures.residual_in_time)
 
@@ -83,14 +83,14 @@ def residuals(fit: Fit) -> Part:
 def residuals_over_displacement(fit: Fit) -> Part:
     """Return the residuals of the records over displacement."""
     caption = (
-        "A mean (line) outside of the noise band, or a distance between the means of rising and falling branches, is a "
-        "limit of the model."
+        "If a mean (line) is outside of the noise band, or the means of rising and falling branches differ, the model "
+        "does not describe this motion."
     )
     return _residuals(fit, "Residuals over displacement", caption, pictures.residual_over_displacement)
 
 
 def _residuals(fit: Fit, title: str, caption: str, chart: Callable[..., Chart]) -> Part:
-    """Return a chart of residuals of each record, all on one scale."""
+    """Return a chart of residuals of each record, all with the same scale."""
     shown, stroke = _shown(fit), pictures.stroke_of(fit)
     if not shown:
         return ""
@@ -110,13 +110,13 @@ def _only(fit: Fit) -> str:
 
 
 def remaining_error(fit: Fit) -> str:
-    """Return where the remaining error of each record comes from."""
+    """Return the causes of the remaining error of each record."""
     causes = (words(left.sentence(pictures.stroke_of(fit))) for left in fit.remaining)
     return html.bullets("Where the remaining error comes from", causes)
 
 
 def candidates(fit: Fit) -> str:
-    """Return the candidates of the search and their held-out errors, best first."""
+    """Return the candidates of the search and their held-out errors, the best first."""
     chosen = fit.options.get("structure")
     rows: list[Row] = [
         (
@@ -130,7 +130,7 @@ def candidates(fit: Fit) -> str:
 
 
 def errors_table(fit: Fit) -> str:
-    """Return the errors by record, steady and with its drift."""
+    """Return the errors by record, without and with its drift."""
     if not fit.errors:
         return ""
     kinds = {
@@ -146,9 +146,9 @@ def errors_table(fit: Fit) -> str:
         rows.append(((row.record, row.role), *cells, str(row.samples), str(row.left_out)))
     return (
         "<h2>Errors by record</h2>\n"
-        '<p class="muted">Measured displacement, with noise, minus that of the voltage alone, in % of the stroke '
-        f"({length(fit.errors[0].stroke)}, the range of the widest training loop). Validation records took no part in "
-        f"the fit of the model.</p>\n{html.table(('Record', *kinds, 'Samples counted', 'Left out'), rows, texts=1)}"
+        '<p class="muted">Measured minus simulated displacement, with noise, in % of the stroke '
+        f"({length(fit.errors[0].stroke)}, the range of the widest training loop). Validation records were "
+        f"not fitted.</p>\n{html.table(('Record', *kinds, 'Samples counted', 'Left out'), rows, texts=1)}"
     )
 
 
@@ -165,20 +165,20 @@ def checks(fit: Fit) -> str:
     ]
     head = ("Check", "Verdict", "Finding", "Value", "Floor")
     return (
-        '<h2>Checks</h2>\n<p class="muted">Patterns of the residuals. Floor: noise alone gives no more, with 95 % '
-        f"probability. A pattern below 0.1 % of the stroke passes in any case.</p>\n{html.table(head, rows, texts=3)}"
+        '<h2>Checks</h2>\n<p class="muted">Patterns of the residuals. Noise alone stays below the floor with 95 % '
+        f"probability. A pattern below 0.1 % of the stroke always passes.</p>\n{html.table(head, rows, texts=3)}"
     )
 
 
 def made_of(actuator: Actuator) -> list[Part]:
-    """Return what each part of an actuator does, and its charts."""
+    """Return a description of each part of an actuator, and its charts."""
     rows: list[Row] = [
         (part.name, html.spelled(part.sentence).replace("tau(v)", "τ(v)")) for part in parts_of(actuator)
     ]
     parts = html.table(("Part", "What it does"), rows, texts=2)
     caption = (
-        "Single large stiffnesses between zeros show that the records determine sums of stiffnesses better than single "
-        "ones. All numbers are in the model's file."
+        "Single large stiffnesses between zeros mean that the records determine sums of stiffnesses better than single "
+        "ones. The model's file has all numbers."
     )
     charts = [pictures.elements(actuator)]
     charts += [pictures.creep(actuator)] if actuator.displacement_creep is not None else []
@@ -195,8 +195,8 @@ def followed(paths: Mapping[str, TrackedPath]) -> list[Part]:
         for name, path in paths.items()
     ]
     caption = (
-        "The actuator was homed, driven along the path by each voltage, and measured: wanted and reached displacement, "
-        "and reached minus wanted, each on a scale of its own. The way from the homing onto the path is left out."
+        "The actuator was homed, driven along the path with each voltage, and measured. The charts show the wanted and "
+        "the reached displacement, and their difference. The way from the homing to the path is left out."
     )
     table = f"<h2>Measured along a path</h2>\n{html.table(head, rows, texts=1)}"
     return [table, Charts("", caption, pictures.followed_path(paths))]
@@ -206,19 +206,19 @@ _PARTS = {
     "model": "the model",
     "temperature": "a temperature that was not tested, or is not known",
     "creep": "a creep slower than the records show",
-    "lag": "a lag that the records leave open",
+    "lag": "a lag that the records do not determine",
     "start": "the unknown start",
-    "missed": "what the voltages miss",
+    "missed": "clamped voltages",
     "voltages": "voltages beyond the records",
 }
 
 
 def promised(found: Insight) -> str:
-    """Return the error to expect, then the warnings."""
+    """Return the promise, then the warnings."""
     promise, warnings = found.promise, found.warnings()
     expected = "The error to expect is not known." if promise is None else " ".join(found.expected)
     new = promise is not None and bool(promise.untested) and found.plan is not None
-    title = "Warning" if warnings else "In part not tested" if new else "No warnings"
+    title = "Warning" if warnings else "Partly not tested" if new else "No warnings"
     items = "".join(f"<li>{words(warning)}</li>" for warning in warnings)
     return (
         f'<div class="outcome {"amber" if warnings or new else "green"}" role="status">'
@@ -237,18 +237,18 @@ def planned(found: Insight) -> list[Part]:
         for key, error in promise.parts.items()
     ]
     beside = f"<div><h3>Causes of the largest error</h3>\n{html.table(('From', 'of stroke', ''), rows, 1)}</div>"
-    caption = "The promise: how far the displacement may be from the wanted path if the compensating voltage is played."
+    caption = "The promise: the largest difference from the wanted path if the compensating voltage is played."
     charts = pictures.planned_path(plan), pictures.error_band(plan)
     return [Charts("The promise along the path", caption, charts, beside=(beside,))]
 
 
 def turned(plane: TurnPlane | None, path: Sequence[Turn] = ()) -> list[Part]:
-    """Return where the records turned and how fast, and the same of a path."""
+    """Return turning points and speeds of the records, and those of a path."""
     if plane is None:
         return []
     caption = (
-        "Dots: voltages between which the records turned. Shaded: loops on which the model is tested, because both "
-        "branches begin where a record turned and do not go beyond it."
+        "A dot is a pair of voltages between which a record turned. On shaded loops the model is tested: a record has "
+        "both branches."
     )
     rows: list[Row] = []
     turns = [*plane.turns, *path]
@@ -264,7 +264,7 @@ def turned(plane: TurnPlane | None, path: Sequence[Turn] = ()) -> list[Part]:
 
 
 def path_turns(found: Insight) -> Sequence[Turn]:
-    """Return where the path of an assessment turns; empty without one."""
+    """Return the turning points of an assessed path; empty without a path."""
     plan, plane = found.plan, found.turns
     if plan is None or plane is None:
         return ()
@@ -272,7 +272,7 @@ def path_turns(found: Insight) -> Sequence[Turn]:
 
 
 def determined(found: Insight) -> list[Part]:
-    """Return what to record next, and how much of the stiffnesses the records determine."""
+    """Return what to record next, and the combinations of stiffnesses that the records determine."""
     commands, directions = "\n".join(map(escape, found.record_next)), found.identifiability
     return [
         f"<h2>What to record next</h2>\n<pre><code>{commands}</code></pre>" if commands else "",
@@ -292,7 +292,7 @@ def coupling(axes: Sequence[str], matrix: Array, errors: Array, caption: str) ->
 
 
 def stage_errors(fit: StageFit) -> str:
-    """Return the errors of each axis of each record, the motion of the others taken out."""
+    """Return the errors of each axis in each record, without the motion of the other axes."""
     head = ("record", "axis", "role", "samples", "largest, % of the stroke", "RMS, %", "largest")
     rows = list[Row]()
     for axis, own in zip(fit.axes, fit.fits, strict=True):

@@ -1,13 +1,13 @@
-// A chart on two canvases: curves below, what follows the pointer above. Thousands or millions of samples.
+// A chart on two canvases: one for the curves, and one above it for marks that follow the pointer.
 import { make, h } from "./dom.js";
 import { bindGestures } from "./gestures.js";
 import { digits, extent, short, ticks, written } from "./numbers.js";
 import { nearest, pixels, steps } from "./thinning.js";
 
 const MARGIN = { left: 48, right: 16, top: 10, bottom: 40 };
-const TITLE = 32; // pixels for the title of an upright axis, and the gap beside its numbers
-const REACH = 40; // pixels from the pointer to a sample that is read out
-const MANY = 3000; // vertices from which on a curve is drawn step by step
+const TITLE = 32; // pixels for the title of a vertical axis, and the gap beside its numbers
+const REACH = 40; // largest distance in pixels of the pointer from the sample that is read out
+const MANY = 3000; // a curve with more vertices is drawn step by step
 
 // The content of a chart:
 //     x, y    { label, unit, range, log }: with `log` the numbers are exponents of ten
@@ -18,16 +18,16 @@ const MANY = 3000; // vertices from which on a curve is drawn step by step
 //             "area"    from y to `top`
 //             "cells"   `values` on a grid with the edges x and y, row by row: the larger, the darker, up to `darkest`
 //     shaded  [[from, to], ...] of x;  band: [low, high] of y;  levels: [{ value, name, colour }]
-// A series that is `silent` is neither in the legend nor read out. Colours are names of the page's style.
+// A `silent` series is neither in the legend nor read out. Colours are names of variables in style.css.
 export class Chart {
-  // `readout` is called with a sentence about the sample under the pointer, or ""; `moved` when the view does.
+  // `readout` is called with a sentence about the sample under the pointer, or ""; `moved` when the view moves.
   constructor(holder, { label, readout = () => {}, moved = () => {} }) {
     Object.assign(this, { holder, readout, moved });
     this.base = make(h("canvas", { "aria-hidden": "true" }));
     this.top = make(h("canvas", { tabindex: "0", role: "img", "aria-label": label }));
     holder.append(this.base, this.top);
     this.drawn = () => {}; // called after each drawing
-    this.double = () => false; // asked first at a double click
+    this.double = () => false; // called first at a double click; true: the view stays
     this.spec = { x: {}, y: {}, series: [] };
     this.home = { x: [0, 1], y: [0, 1] };
     this.view = this.home;
@@ -36,7 +36,7 @@ export class Chart {
     window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.request());
   }
 
-  // Show other curves. The view stays if the person moved it and `keep` is set.
+  // Show other curves. With `keep`, a view that the user has moved stays.
   set(spec, { keep = false } = {}) {
     const moved = this.view !== this.home;
     this.spec = spec;
@@ -60,7 +60,7 @@ export class Chart {
     this.request();
   }
 
-  // Draw at the next frame: all, or what follows the pointer.
+  // Draw at the next frame: all, or only the marks that follow the pointer.
   request(all = true) {
     this.whole ||= all;
     this.asked ??= requestAnimationFrame(() => {
@@ -125,14 +125,14 @@ export class Chart {
     pen.restore();
   }
 
-  // Values to pixels of the area.
+  // Coefficients from values to pixels of the area.
   frame() {
     const { x, y } = this.view;
     const { width, height } = this.area;
     return { x0: x[0], kx: width / (x[1] - x[0]), y0: y[1], ky: -height / (y[1] - y[0]), width, height };
   }
 
-  // Values to pixels of the canvas, and back.
+  // From values to pixels of the canvas, and back.
   px = (value) => this.area.left + (value - this.view.x[0]) * this.frame().kx;
   py = (value) => this.area.top + (value - this.view.y[1]) * this.frame().ky;
   vx = (pixel) => this.view.x[0] + (pixel - this.area.left) / this.frame().kx;
@@ -189,7 +189,7 @@ export class Chart {
     pen.fillRect(0, (band[1] - y0) * ky, width, (band[0] - band[1]) * ky);
   }
 
-  // Horizontal lines; those with a colour, such as limits, are dashed.
+  // Horizontal lines. Lines with a colour, such as limits, are dashed.
   levels(pen) {
     const { y0, ky, width } = this.frame();
     pen.textAlign = "right";
@@ -257,7 +257,7 @@ export class Chart {
   }
 }
 
-// How a series of each kind is drawn; the pen's origin is the corner of the area.
+// The drawing functions of each kind of series; the pen's origin is the corner of the area.
 const KINDS = { line: drawLine, points: drawPoints, area: drawArea, cells: drawCells };
 
 function drawLine(chart, pen, series) {
@@ -324,7 +324,7 @@ function drawCells(chart, pen, { x, y, values, colour, darkest }) {
   values.forEach((value, k) => {
     const [i, j] = [k % (x.length - 1), Math.floor(k / (x.length - 1))];
     if (!(value > 0)) return;
-    // Whole pixels, so that no seams show.
+    // Edges on whole pixels, so that no seams are visible.
     const [left, right] = [i, i + 1].map((k) => Math.round((x[k] - x0) * kx));
     const [bottom, top] = [j, j + 1].map((k) => Math.round((y[k] - y0) * ky));
     pen.globalAlpha = value / largest;

@@ -1,11 +1,11 @@
-// Elements of a page from descriptions. What is described anew is changed in place: focus, scrolling, and what a person
-// typed or opened stay.
+// Elements of a page from descriptions. A new description changes the elements in place: focus, scrolling, typed text
+// and open folds stay.
 
 export const byId = (id) => document.getElementById(id);
 
 // h("button#go.main", { onclick: f }, "Identify") describes <button id="go" class="main">; properties may be left out.
-// A child may be a description, text or an element that is there already. In place of a child that is null or false
-// there is nothing. Children of which there may be more or fewer have a `key`.
+// A child is a description, text or an existing element; null and false give nothing. Children whose number changes
+// have a `key`.
 export function h(name, ...children) {
   const [, tag, id, classes] = /^(\w+)(?:#([\w-]+))?(?:\.([\w.-]+))?$/.exec(name);
   const given = children[0]?.constructor === Object && !children[0].tag ? children.shift() : {};
@@ -13,7 +13,6 @@ export function h(name, ...children) {
   return { tag, properties: { id, ...given, class: style || undefined }, children: children.flat(9) };
 }
 
-// Return the element or text that is described.
 export function make(given) {
   if (given instanceof Node) {
     given.held = true;
@@ -25,8 +24,8 @@ export function make(given) {
 
 const textOf = (child) => (child === null || child === undefined || child === false ? "" : String(child));
 
-// Make the children of an element those that are described: what has the same key is changed, or else the next one
-// without a key.
+// Replace the children of an element by the described ones. A child with the same key is changed in place; for a
+// description without a key, this is the next child without a key.
 export function fill(parent, ...described) {
   const children = described.flat(9);
   const old = [...parent.childNodes].filter((node) => !children.includes(node));
@@ -38,7 +37,7 @@ export function fill(parent, ...described) {
     const node = key === undefined ? others.shift() : keyed.get(key);
     return fits(node, child) ? changed(node, child) : make(child);
   });
-  // Before anything is inserted: what stays does not move, and keeps its focus.
+  // Remove first, then insert: nodes that stay do not move, and keep the focus.
   const kept = new Set(nodes);
   for (const node of [...parent.childNodes]) if (!kept.has(node)) node.remove();
   nodes.forEach((node, k) => {
@@ -46,7 +45,7 @@ export function fill(parent, ...described) {
   });
 }
 
-// Can this node become what is described? An element that somebody made and holds cannot.
+// Can a node be changed into the described one? An element that was passed in by its owner cannot.
 function fits(node, child) {
   if (!node || node.held || child instanceof Node) return false;
   if (!child?.tag) return node.nodeType === Node.TEXT_NODE;
@@ -64,7 +63,7 @@ function changed(node, child) {
   }
   node.given = after;
   fill(node, ...child.children);
-  // A choice has its options now.
+  // Set the value of a <select> only now, when it has its options.
   if (before.value !== after.value) node.value = after.value ?? "";
   return node;
 }

@@ -1,19 +1,18 @@
-// A chart with what belongs to it: heading, views to choose from, legend, read-out, the way back to the whole.
+// A chart with heading, choice of views, legend, read-out, and a button that shows all again.
 import { Chart } from "./chart.js";
 import { fill, h, make } from "./dom.js";
 import { KEYS } from "./gestures.js";
 
-// Axes of the quantities.
 export const SECONDS = { label: "Time (s)", unit: "s" };
 export const VOLTS = { label: "Voltage (V)", unit: "V" };
 export const MICROMETRES = { label: "Displacement (\u00b5m)", unit: "\u00b5m" };
 
-// Colours of several curves; their values are in style.css.
+// Names of the colours of several curves; style.css has their values.
 export const COLOURS = ["measured", "simulated", "rising", "falling", "third", "fourth"];
 
 export class Figure {
-  // `views` are [name, title] pairs; `choose` is called with the name of the view that the person chose. `more` stands
-  // behind the title.
+  // `views` are [name, title] pairs; `choose` is called with the name of the chosen view. `more` is shown after the
+  // title.
   constructor({ title, label = title, views = [], choose = () => {}, tall = false, keys = KEYS, more }) {
     Object.assign(this, { title, views, choose, more, keys, hidden: new Set(), view: views[0]?.[0] });
     this.holder = make(h("div", { class: tall ? "chart tall" : "chart" }));
@@ -30,8 +29,7 @@ export class Figure {
     this.write();
   }
 
-  // Show curves; those that the person took out of the legend stay out. `spoken` is a sentence for those who do not see
-  // the picture.
+  // Show curves; curves that the user has hidden stay hidden. `spoken` is a sentence for screen readers.
   set(spec, { spoken, ...options } = {}) {
     this.spec = spec;
     for (const series of spec.series) series.hidden = this.hidden.has(series.key ?? series.name);
@@ -70,7 +68,7 @@ export class Figure {
     );
   }
 
-  // Series with one name have one entry, which shows and hides all of them.
+  // Series with the same name have one entry, which shows and hides all of them.
   legend({ series, notes = [] }) {
     const listed = series.filter((line) => line.name && !line.silent);
     const named = new Map(listed.map((line) => [line.key ?? line.name, line]));

@@ -1,4 +1,4 @@
-"""Modules and styles that pages share: single files for a server, one script for a page without a server."""
+"""Modules and styles of pages: single files for a server, or one script for a page without a server."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from dehyst.exports import shipped
 
-# The compensator in WebAssembly comes with each export.
+# The compensator in WebAssembly is a file of the exports.
 COMPENSATOR = "dehyst.js"
 _FOLDER = Path(__file__).parent
 _IMPORT = re.compile(r'^import .*? from "\./([\w.]+)";\n', re.MULTILINE)

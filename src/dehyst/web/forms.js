@@ -1,23 +1,22 @@
-// Fields that a person fills in: what is typed is kept here, however often they are drawn. And lists of words.
+// Forms, which keep the typed values when they are drawn again, and lists of sentences.
 import { h } from "./dom.js";
 import { numberFrom } from "./numbers.js";
 
 export class Form {
-  // Fields by name: { label, value, unit, hint, placeholder }, and of what they hold: choices: [[value, text], ...],
-  // `text`, or a number that is `above` or at `least` another; `many` numbers; `optional` if it may be empty. `changed`
-  // is called with the name of a field after each change by the person.
+  // Fields by name: { label, value, unit, hint, placeholder }, and the type of the value: `choices` [[value, text],
+  // ...], `text`, or a number `above` or at `least` a bound; `many` for several numbers; `optional` if it may be empty.
+  // `changed` is called with the name of a field after each change by the user.
   constructor(id, fields, changed = () => {}) {
     Object.assign(this, { id, fields, changed });
     this.values = Object.fromEntries(Object.entries(fields).map(([name, { value = "" }]) => [name, value]));
   }
 
-  // Let the person choose among others; without one of them, the first is chosen.
+  // Offer other choices. If the present value is not among them, the first is chosen.
   offer(name, choices) {
     this.fields[name].choices = choices;
     if (!choices.some(([value]) => value === this.values[name])) this.values[name] = choices[0]?.[0] ?? "";
   }
 
-  // A labelled control.
   field(name, { class: style } = {}) {
     const { label, unit, hint, choices, placeholder } = this.fields[name];
     const id = `${this.id}-${name.replaceAll("_", "-")}`;
@@ -38,7 +37,7 @@ export class Form {
     return h("div", { class: style }, names.map((name) => this.field(name)));
   }
 
-  // The content of a field, null if it is empty and may be; an Error names the field.
+  // The value of a field, null if it is empty and optional; an Error names the field.
   value(name, optional = this.fields[name].optional) {
     const field = this.fields[name];
     const text = this.values[name].trim();
@@ -47,18 +46,16 @@ export class Form {
     return text.split(/[\s;]+/).map((word) => numberFrom(word, field.label));
   }
 
-  // The content of fields by name, without those that are empty; `needed` ones may not be.
+  // The values of fields by name, without empty ones; `needed` fields may not be empty.
   collected(names = Object.keys(this.fields), needed = []) {
     const pairs = names.map((name) => [name, this.value(name, needed.includes(name) ? false : undefined)]);
     return Object.fromEntries(pairs.filter(([, value]) => value !== null));
   }
 }
 
-// A check box or a radio button before its label.
 export const tick = (label, { spoken, ...input }) =>
   h("label.tick", h("input", { "aria-label": spoken, ...input }), label);
 
-// A card with a title and these properties.
 export const card = (title, { class: style = "", ...about }, ...content) =>
   h("div", { class: `card ${style}`.trim(), ...about }, h("h3", title), content);
 
@@ -73,7 +70,7 @@ export const list = (sentences, style) =>
 export const fold = (summary, ...content) =>
   h("details", { key: `fold ${summary}` }, h("summary", summary), content);
 
-// The first of some remarks in sight, the others in a fold.
+// The first remark is open, the others are in a fold.
 export function remarks([first, ...others]) {
   if (!first) return null;
   const summary = others.length === 1 ? "One more thing to know" : `${others.length} more things to know`;

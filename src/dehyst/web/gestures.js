@@ -1,11 +1,11 @@
-// Moving a chart's view by pointer and keys.
+// Gestures of pointer and keys, which move the view of a chart.
 const LEAST_DRAG = 6;
 
 export const KEYS =
   "Keys: arrows move, plus and minus zoom, 0 shows all. Pointer: drag a box to zoom; double-click shows all.";
 
 const shifted = ([low, high], share) => [low + share * (high - low), high + share * (high - low)];
-// A range that is `factor` times as wide, about its middle.
+// A range that is `factor` times as wide, with the same middle.
 const scaled = ([low, high], factor) => {
   const more = ((factor - 1) * (high - low)) / 2;
   return [low - more, high + more];
@@ -50,7 +50,7 @@ export function bindGestures(chart) {
   };
 }
 
-// The box that a drag marks: all heights if it is nearly level, all of the abscissa if it is nearly upright.
+// The box of a drag: a nearly horizontal drag marks the full height, a nearly vertical one the full width.
 function boxed({ left, top, width, height }, from, to) {
   const ends = (name, low, size) =>
     [from[name], to[name]].map((end) => Math.min(Math.max(end, low), low + size)).sort((a, b) => a - b);
@@ -61,7 +61,7 @@ function boxed({ left, top, width, height }, from, to) {
   return { left: west, right: east, top: north, bottom: south };
 }
 
-// The view after a key; undefined if it moves nothing.
+// The view after a key; undefined for a key without effect.
 function viewAfter({ view: { x, y }, home }, key) {
   const zoomed = (factor) => ({ x: scaled(x, factor), y: scaled(y, factor) });
   return {

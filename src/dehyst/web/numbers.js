@@ -2,7 +2,7 @@
 const MINUS = "\u2212";
 const DASH = "\u2013";
 
-// Decimals that show a step of this size.
+// The number of decimals that shows a step of this size.
 export function digits(step, more = 0) {
   return Math.max(0, Math.min(12, more - Math.floor(Math.log10(step) + 1e-9)));
 }
@@ -12,7 +12,7 @@ export function written(value, decimals) {
   return /^-0(\.0*)?$/.test(text) ? text.slice(1) : text.replaceAll("-", MINUS);
 }
 
-// At most about `most` round values of a range, as [value, text]: with `log` exponents of ten.
+// Round values of a range, about `most` at most, as [value, text]. With `log`, values are exponents of ten.
 export function ticks([low, high], most, { log } = {}) {
   const values = [];
   if (log) {
@@ -34,7 +34,7 @@ export function ticks([low, high], most, { log } = {}) {
   return values;
 }
 
-// The lowest and the highest finite value of arrays, with a margin of `pad` of their distance.
+// The lowest and the highest finite value of arrays, with a margin of `pad` times their difference.
 export function extent(columns, pad = 0) {
   let low = Infinity;
   let high = -Infinity;
@@ -53,7 +53,7 @@ export function extent(columns, pad = 0) {
   return [low - pad * (high - low), high + pad * (high - low)];
 }
 
-// A number with three significant digits, without an exponent where people do not expect one.
+// A number with three significant digits. Only very large and very small numbers have an exponent.
 export function short(value, significant = 3) {
   if (value === null || value === undefined || !Number.isFinite(value)) return DASH;
   if (value === 0) return "0";
@@ -64,7 +64,7 @@ export function short(value, significant = 3) {
   return (text.includes(".") ? text.replace(/\.?0+$/, "") : text).replaceAll("-", MINUS);
 }
 
-// The same for a field that is typed into.
+// The same text for an input field, with an ASCII minus.
 export const plain = (value, significant) => short(value, significant).replaceAll(MINUS, "-");
 
 // The largest of 1, 2 and 5 times a power of ten that is not above a positive value.
@@ -73,7 +73,7 @@ export function roundDown(value) {
   return power * [5, 2, 1].find((digit) => digit * power <= value * (1 + 1e-9));
 }
 
-// An end that would not show beside the other one is written as 0.
+// A range as text. An end that is negligible beside the other one is written as 0.
 export function range(pair, unit, significant = 4) {
   if (pair?.length !== 2) return `${DASH} ${unit}`;
   const [low, high] = pair.map((end) => short(Math.abs(end) < 5e-4 * (pair[1] - pair[0]) ? 0 : end, significant));
@@ -82,7 +82,7 @@ export function range(pair, unit, significant = 4) {
 
 export const percent = (value) => `${short(value, value >= 10 ? 3 : 2)} %`;
 
-// A length given in micrometres, in the unit in which it is read most easily.
+// A length, given in micrometres, as text in nm or um.
 export function length(um) {
   if (!Number.isFinite(um)) return DASH;
   return Math.abs(um) < 1 ? `${short(um * 1e3)} nm` : `${short(um)} \u00b5m`;
@@ -103,7 +103,7 @@ export function bytes(count) {
   return count < 1e6 ? `${short(count / 1e3)} kB` : `${short(count / 1e6)} MB`;
 }
 
-// The text that a person typed into a field: a number (a decimal comma is one too), null if empty, NaN if neither.
+// The number in a typed text, also with a decimal comma; null if the text is empty, NaN if it is no number.
 export function parsed(text) {
   const clean = text.trim().replaceAll(MINUS, "-").replaceAll("\u202f", "");
   if (clean === "") return null;
@@ -111,7 +111,7 @@ export function parsed(text) {
   return Number.isFinite(number) ? number : NaN;
 }
 
-// A number that a person typed, or null if it is `optional` and empty; an Error names the field.
+// A typed number, or null if it is `optional` and empty; an Error names the field.
 export function numberFrom(text, label, { above = -Infinity, least = -Infinity, optional = false } = {}) {
   const value = parsed(text);
   if (value === null && optional) return null;
@@ -122,7 +122,6 @@ export function numberFrom(text, label, { above = -Infinity, least = -Infinity, 
   throw new Error(`${label}: got ${text.trim() || "nothing"}, need ${need}.`);
 }
 
-// Voltage limits that a person typed.
 export function limitsFrom(low, high) {
   const limits = [numberFrom(low, "Lowest voltage"), numberFrom(high, "Highest voltage")];
   if (!(limits[0] < limits[1])) throw new Error("The lowest voltage is not below the highest one.");

@@ -1,9 +1,9 @@
-// A wanted path (time in s, displacement in um): its points, samples and voltage. The voltage is computed here, by the
-// WebAssembly of the model; displacements of the compensator are in metres.
+// A wanted path (time in s, displacement in um): its points, its samples, and its voltage from the WebAssembly of the
+// model, whose displacements are in metres.
 const MICRO = 1e-6;
 export const MOST_SAMPLES = 2_000_000;
 
-// Straight lines between points, sampled at `rate` (Hz) as the server does it.
+// Straight lines between points, sampled at `rate` (Hz) like on the server.
 export function sampled(points, rate) {
   const begin = points[0][0];
   const count = Math.round((points.at(-1)[0] - begin) * rate) + 1;
@@ -24,7 +24,8 @@ export function sampled(points, rate) {
   return { time, wanted };
 }
 
-// Points with one moved: it stays between its neighbours in time, `gap` seconds away at least; the first stays at 0.
+// Points with one moved. Its time stays between those of its neighbours, with a distance of `gap` seconds; the time of
+// the first point does not change.
 export function moved(points, index, [time, displacement], gap) {
   const low = index === 0 ? points[0][0] : points[index - 1][0] + gap;
   const high = index === 0 ? points[0][0] : (points[index + 1]?.[0] ?? Infinity) - gap;
@@ -32,18 +33,18 @@ export function moved(points, index, [time, displacement], gap) {
   return points.map((point, k) => (k === index ? [at, displacement] : point));
 }
 
-// Points with one more; no change if it lies closer than `gap` seconds to another.
+// Points with one more; the same points if it is closer than `gap` seconds to another.
 export function inserted(points, [time, displacement], gap) {
   if (points.some((point) => Math.abs(point[0] - time) < gap) || time < points[0][0]) return points;
   return [...points, [time, displacement]].sort((point, other) => point[0] - other[0]);
 }
 
-// Points without one; two stay at least, and the first does not go.
+// Points without one. At least two points stay, and the first is never removed.
 export function removed(points, index) {
   return points.length <= 2 || index <= 0 ? points : points.filter((_, k) => k !== index);
 }
 
-// Voltages for wanted displacements, and what they reach.
+// Voltages for wanted displacements, and the displacements that they reach.
 export function plan(compensator, wanted) {
   compensator.reset();
   const metres = Float64Array.from(wanted, (y) => MICRO * y);
@@ -61,8 +62,8 @@ export function plan(compensator, wanted) {
   };
 }
 
-// The largest mean speed of a rise or a fall (V a sample), as the records of a model count it; turns of less than `band`
-// volts do not count.
+// The largest mean speed of a branch (V a sample), defined as for the records of a model; turns of less than `band`
+// volts are ignored.
 export function fastestBranch(voltage, band) {
   let [most, begin, end] = [0, 0, 0];
   for (let i = 1; i <= voltage.length; i += 1) {
@@ -76,7 +77,7 @@ export function fastestBranch(voltage, band) {
   return most;
 }
 
-// The mean speed of a branch that is higher than `least`, without its time at rest.
+// The mean speed of a branch without its time at rest; 0 if its height is not above `least`.
 function meanSpeed(branch, least) {
   const height = Math.abs(branch.at(-1) - branch[0]);
   const rest = (0.1 * height) / (branch.length - 1);

@@ -1,17 +1,16 @@
-// The pictures of a plan: the wanted path with its points, the error, and the voltage.
+// The pictures of a plan: the wanted path with its points, the voltage, and the error.
 import { h, make } from "./dom.js";
 import { Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
 import { extent, length, percent, range, short, whole } from "./numbers.js";
 import { HANDLE_HELP, PointHandles } from "./point_handles.js";
 
-const NM = 1e3; // nanometres of a micrometre
-const FEW_LINES = 4; // that are shown together
+const NM = 1e3; // nanometres in a micrometre
+const FEW_LINES = 4; // a scan with more lines is shown line by line
 
-// A curve over time.
 export const curve = (name, colour, x, y) => ({ name, colour, x, y, rising: true, width: 1.8 });
 
 export class PathFigures {
-  // `edited` is called with the points (s, um) after each change by the person.
+  // `edited` is called with the points (s, um) after each change by the user.
   constructor(edited) {
     this.views = [["line", "One line"], ["all", "All"]];
     const { views } = this;
@@ -23,15 +22,15 @@ export class PathFigures {
     this.element = make(h("div.figures.steady", all.map((figure) => figure.element)));
   }
 
-  // `reach` and `band`, half the height of the promise, in um; `band` is 0 if it is not known.
-  // `line` is the time of a line of a scan (s): of many, one is shown.
+  // `reach` and `band`, half the height of the promise, are in um; `band` is 0 without a promise.
+  // `line` is the duration of a line of a scan (s); of many lines, one is shown.
   draw(last) {
     this.last = last;
     const { path: { time, wanted }, planned, limits, reach, band, points, line } = last;
     const { clamped, reached, voltage, missed } = planned;
     const many = time.at(-1) > FEW_LINES * line;
     this.path.views = many ? this.views : [];
-    // The second one: the first begins at the start.
+    // The second line is shown: the first contains the start.
     const shown = many && this.path.view === "line" ? [line, 2 * line] : undefined;
     this.handles.set(points ?? [], reach);
     const { x = shown, y } = this.handles.ranges();
@@ -45,7 +44,7 @@ export class PathFigures {
     });
     const most = NM * Math.max(band, missed);
     const promise = { value: NM * band, name: `promise \u00b1${length(band)}`, colour: "measured" };
-    show(this.error, "Error over time where the model is the actuator, within the promise.", {
+    show(this.error, "Error over time of the model, within the promise.", {
       y: { label: "Error (nm)", unit: "nm", range: most ? [-1.4 * most, 1.4 * most] : undefined },
       levels: [{ value: 0 }, ...(band ? [promise, { value: -NM * band, colour: "measured" }] : [])],
       band: band ? [-NM * band, NM * band] : undefined,
@@ -68,12 +67,12 @@ export class PathFigures {
   }
 }
 
-// The sentences about a model that a check found old, and about a path that is much faster than the records.
+// Sentences about a model that a check found wrong, and about a path much faster than the records.
 export const NO_PROMISE =
-  "There is no promise: by the last check this model is not true any more. Update it, or identify again.";
-export const TOO_FAST = "There is no promise: no record is that fast. The written file has its own.";
+  "There is no promise: the last check found that the model no longer holds. Update it, or identify again.";
+export const TOO_FAST = "There is no promise: no record is as fast as this path. The written file has its own promise.";
 
-// The expectation of a plan: a light and a sentence, then facts. `band` in um; without it, `why` there is no promise.
+// The verdict on a plan: a light, a sentence, and facts. `band` is in um; if it is 0, `why` is the reason.
 export function judged(planned, { largest_percent: share, band, why, light, speed, apart }) {
   const { voltage, steepest, missed, clamps } = planned;
   const counts = [["clamped", clamps.limited], ["slewed", clamps.slewed]].filter(([, count]) => count > 0);
@@ -87,7 +86,7 @@ export function judged(planned, { largest_percent: share, band, why, light, spee
       : `The path can be followed${within}.`,
     facts: [
       `${range(extent([voltage]), "V", 3)}${pace}, ${whole(voltage.length)} samples.`,
-      band ? `The promise is that of any path, ${apart}; a written file has its own.` : why,
+      band ? `This is the promise for any path, ${apart}; a written file has its own promise.` : why,
     ],
   };
 }

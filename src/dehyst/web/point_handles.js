@@ -1,15 +1,15 @@
-// The points of a path as handles on a chart, for the pointer: a double click on the chart adds one, on a point removes
-// it. The keyboard has the text of the points beside the chart.
+// The points of a path as handles on a chart: drag a point, double-click on the chart to add one, on a point to remove
+// it. With the keyboard, edit the text of the points.
 import { fill, h } from "./dom.js";
 import { extent } from "./numbers.js";
 import { inserted, moved, removed } from "./path.js";
 
-export const HANDLE_HELP = "Points: drag one; a double click adds one, or removes the one under the pointer.";
-const BEYOND = 0.1; // how far a point may lie outside the reach, of the reach
-const NEAREST = 0.002; // between the times of two points, of the duration
+export const HANDLE_HELP = "Points: drag a point to move it. A double click adds a point, or removes the one under the pointer.";
+const BEYOND = 0.1; // largest distance of a point outside the reach, as a part of the reach
+const NEAREST = 0.002; // least time between two points, as a part of the duration
 
 export class PointHandles {
-  // `changed` is called with the points (s, um) after each change by the person.
+  // `changed` is called with the points (s, um) after each change by the user.
   constructor(chart, changed) {
     Object.assign(this, { chart, changed, points: [] });
     this.layer = document.createElement("div");
@@ -19,14 +19,14 @@ export class PointHandles {
     chart.double = (event) => this.points.length > 0 && this.insert(this.under(event));
   }
 
-  // Show points of a path that goes from `low` to `high` at most; none of a path that is not drawn by hand.
+  // Show the points of a path between `low` and `high`; no points if the path is not drawn by hand.
   set(points, [low, high]) {
     const beyond = BEYOND * (high - low);
     Object.assign(this, { points, ends: [low - beyond, high + beyond] });
     this.place();
   }
 
-  // Ranges of a picture with these points: while one is dragged, the picture stays where it is.
+  // Ranges of a picture with these points. While a point is dragged, the picture does not move.
   ranges() {
     const x = this.held ? this.chart.home.x : undefined;
     return { x, y: this.points.length > 0 ? extent([this.ends], 0.02) : undefined };

@@ -1,17 +1,16 @@
-// Draws the charts whose numbers a page holds.
+// Draws charts from the numbers inside a page.
 import { h } from "./dom.js";
 import { Figure } from "./figure.js";
 
 const COLUMNS = ["x", "y", "top", "values"];
 
-// A column is 16-bit steps from its lowest value, with one code for a missing value.
+// Decode a column: 16-bit steps above its lowest value, with one code for a missing value.
 export function column(stored) {
   const bytes = Uint8Array.from(atob(stored.steps), (letter) => letter.charCodeAt(0)).buffer;
   const values = (code) => (code === 65535 ? NaN : stored.low + stored.step * code);
   return Float64Array.from(new Uint16Array(bytes), values);
 }
 
-// Draw the charts of a report in their places below `root`.
 export function drawCharts(root, { columns, charts }) {
   const decoded = columns.map(column);
   for (const place of root.querySelectorAll("[data-chart]")) {
@@ -24,9 +23,9 @@ export function drawCharts(root, { columns, charts }) {
   }
 }
 
-// The sections of a report for a place on another page, without its title and its own script.
+// The sections of a report, for another page, without title and script.
 export function reportParts(text) {
-  // The policy of this page may allow no style in a text: it is set afterwards.
+  // The policy of this page may forbid styles in text: they are set by the script below.
   const plain = text.replace(/<style>.*?<\/style>/s, "").replaceAll(' style="', ' data-style="');
   const page = new DOMParser().parseFromString(plain, "text/html");
   const charts = page.getElementById("chart-data");

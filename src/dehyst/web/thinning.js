@@ -1,8 +1,7 @@
-// Curves of millions of samples on a raster of pixels.
-//
+// Draws curves of millions of samples on a raster of pixels.
 // `frame` maps values to pixels, px = (x - x0) kx and py = (y - y0) ky, on an area of width x height pixels.
 
-// The pixels of a curve as columns px and py; of one whose x is `rising` only what the columns of pixels can show.
+// The pixels of a curve as arrays px and py. If its x is `rising`, only samples that change the picture are taken.
 export function pixels({ x, y, rising }, frame) {
   const { x0, kx, y0, ky } = frame;
   const picked = rising ? picks(x, y, frame) : null;
@@ -16,7 +15,7 @@ export function pixels({ x, y, rising }, frame) {
   return { px, py };
 }
 
-// First, lowest, highest and last sample of each column of pixels in view, and one neighbour on each side of the view.
+// The first, lowest, highest and last sample of each visible column of pixels, and one sample on each side of the view.
 function picks(x, y, { x0, kx, width }) {
   const from = Math.max(0, before(x, x0) - 1);
   const to = Math.min(x.length, before(x, x0 + width / kx) + 1);
@@ -34,7 +33,7 @@ function picks(x, y, { x0, kx, width }) {
   return picked;
 }
 
-// The number of the first of rising values that is not below `value`.
+// The index of the first of some rising values that is not below `value`.
 export function before(values, value) {
   let [low, high] = [0, values.length];
   while (low < high) {
@@ -45,7 +44,7 @@ export function before(values, value) {
   return low;
 }
 
-// The sample nearest to a pixel within `reach` pixels, or null; over a rising abscissa only near columns are searched.
+// The sample nearest to a pixel, within `reach` pixels, or null. If x is rising, only near columns are searched.
 export function nearest({ x, y, rising }, { x0, kx, y0, ky }, at, reach) {
   const from = rising ? before(x, x0 + (at.x - reach) / kx) : 0;
   const to = rising ? before(x, x0 + (at.x + reach) / kx) : x.length;
@@ -59,8 +58,8 @@ export function nearest({ x, y, rising }, { x0, kx, y0, ky }, at, reach) {
   return found < 0 ? null : { index: found, away: best };
 }
 
-// The steps of a curve in view, as pairs of vertices, each pair of pixels once: a million samples show no more. Steps
-// within a pixel are joined; a curve is cut where it is not finite.
+// The visible steps of a curve, as pairs of vertices. Each pair of pixels comes once, steps within a pixel are joined,
+// and a curve is interrupted where it is not finite.
 export function steps({ px, py }, { width, height }) {
   const [seen, found] = [new Set(), []];
   const [columns, cells] = [Math.ceil(width), Math.ceil(width) * Math.ceil(height)];

@@ -1,4 +1,4 @@
-"""The workbench: the whole journey in a browser, on this machine."""
+"""The workbench: all steps from a record to an export, in a browser on this machine."""
 
 from dehyst.workbench.serving import serve
 

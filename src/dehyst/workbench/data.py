@@ -25,12 +25,12 @@ from dehyst.waveforms.scans import SCANS, scan_of
 from dehyst.workbench.jobs import words_of
 
 _MICRO = 1e6
-# Samples of a path that is written, and of one that a page draws.
+# Most samples of a path that is written, and of a path that the page draws.
 _MOST_SAMPLES, _MOST_DRAWN = 10_000_000, 2_000_000
 
 
 class RequestError(DehystError, ValueError):
-    """A request that is not understood."""
+    """A request that the server does not understand."""
 
 
 def number_of(value: Any, name: str) -> float:
@@ -54,7 +54,7 @@ def written_path(file: Path, points: Any, rate: Any) -> None:
     each = {"displacement_um": points} if not isinstance(points, Mapping) else {f"{k}_um": v for k, v in points.items()}
     corners = {name: _corners(path) for name, path in each.items()}
     if not corners:
-        raise RequestError(argument="points", need="those of an axis at least")
+        raise RequestError(argument="points", need="the points of at least one axis")
     first = max(path[0, 0] for path in corners.values())
     seconds = max(path[-1, 0] for path in corners.values()) - first
     if not 1 <= seconds * hertz <= _MOST_SAMPLES:
@@ -80,12 +80,10 @@ def path_points(file: Path, model: Path) -> list[list[list[float]]]:
         need = ",".join(["time_s", *(known.name("displacement", axis) for axis in known.axes)])
         unnamed = isinstance(error, ColumnsError) and not any(p.column and p.column.fault for p in error.problems)
         if unnamed or "columns" in error.change:
-            raise RequestError(
-                f"has no column of a name and a unit as expected; need columns such as {need}"
-            ) from error
+            raise RequestError(f"has no column with a known name and unit; need columns such as {need}") from error
         raise RequestError(str(error).replace(f"{file}: ", "").replace(f"{file.name}: ", "")) from error
     if time.size < 2 or not (np.diff(time) > 0).all():
-        raise RequestError("its times do not rise; need two rising times at least, in a column such as time_s")
+        raise RequestError("its times do not rise; need at least two rising times, in a column such as time_s")
     return [np.column_stack([time - time[0], _MICRO * column]).tolist() for column in moved.T]
 
 
@@ -104,14 +102,14 @@ def _corners(points: Any) -> Array:
     except (TypeError, ValueError, OverflowError) as error:
         raise RequestError(argument="points", need="pairs of a time (s) and a displacement (um)") from error
     if corners.ndim != 2 or corners.shape[0] < 2 or corners.shape[1] != 2 or not np.isfinite(corners).all():
-        raise RequestError(argument="points", need="two at least, each a time (s) and a displacement (um)")
+        raise RequestError(argument="points", need="at least two, each with a time (s) and a displacement (um)")
     if not (np.diff(corners[:, 0]) > 0).all():
         raise RequestError("their times do not rise", argument="points", hint="move the points apart")
     return corners
 
 
 def scan_words(scan: Mapping[str, Any], **more: Any) -> tuple[list[str], str]:
-    """Return the words of a scan that was requested, with `more` options, and the wanted axis.
+    """Return the command words of a requested scan, with `more` options, and the wanted axis.
 
     Raise `RequestError` or `OperationError` if the request is not a scan.
     """
@@ -126,7 +124,7 @@ def scan_words(scan: Mapping[str, Any], **more: Any) -> tuple[list[str], str]:
 
 
 def scan_columns(scan: Mapping[str, Any], rate: Any) -> tuple[Array, Array]:
-    """Return time [s] and displacement [um] of a scan that was requested, sampled at a rate [Hz].
+    """Return time [s] and displacement [um] of a requested scan, sampled at a rate [Hz].
 
     Raise `RequestError`, `OperationError` or `RecordError` if the scan is impossible, or has too many samples.
     """
@@ -137,15 +135,15 @@ def scan_columns(scan: Mapping[str, Any], rate: Any) -> tuple[Array, Array]:
     path = scan_of(kind, values, hertz).path(axis)
     if len(path) * cycles > _MOST_DRAWN:
         got = f"{hertz:g} Hz, {len(path) * cycles} samples"
-        raise RequestError(argument="rate", got=got, need=f"{_MOST_DRAWN} at most to draw them")
+        raise RequestError(argument="rate", got=got, need=f"at most {_MOST_DRAWN} to draw them")
     whole = path.repeated(cycles) if path.periodic else path
     return np.arange(len(whole)) / hertz, whole.displacement * _MICRO
 
 
 def wasm(file: Path, period: float | None) -> bytes:
-    """Return a model as a WebAssembly module with a `period` [s], for a model that depends on time.
+    """Return a model as a WebAssembly module, with a `period` [s] if the model depends on time.
 
-    A model that depends on temperature is at its reference.
+    A model that depends on temperature is taken at its reference temperature.
     """
     actuator = replace(Actuator.load(file), thermal=None)
     return wasm_module(Compensator(actuator, period=period))
@@ -158,5 +156,5 @@ def record_columns(file: Path, axis: str = "") -> tuple[Array, ...]:
 
 
 def packed(columns: tuple[Array, ...]) -> bytes:
-    """Return columns one after the other as little-endian 32-bit floats."""
+    """Return columns, one after the other, as little-endian 32-bit floats."""
     return b"".join(column.astype("<f4").tobytes() for column in columns)

@@ -1,4 +1,4 @@
-"""What a workbench lists: records, models and voltages, and how results of operations fill them in."""
+"""Entries of a workbench: records, models and voltages, which results of operations fill in."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class RecordEntry:
 
     @property
     def reading(self) -> dict[str, str]:
-        """Columns with which operations read its `file`."""
+        """The columns with which operations read `file`."""
         pairs = (f"{axis}=v{axis}_V:{axis}_m" for axis in self.axes)
         return {"columns": ", ".join(pairs)} if self.axes else {}
 
@@ -105,12 +105,12 @@ class ModelEntry:
     check: dict[str, Any] | None = None
 
     def fill(self, finished: Finished) -> None:
-        """Fill in the result of `identify`, or why there is no model."""
+        """Fill in the result of `identify`, or the reason why there is no model."""
         fit = finished.result
         if fit is None:
             stopped = self.early or finished.stopped
             self.status = "cancelled" if stopped else "failed"
-            self.error = "it was ended before there was a model" if stopped else finished.words
+            self.error = "the identification was ended before there was a model" if stopped else finished.words
             return
         several = "fits" in fit
         fits = fit["fits"] if several else {"": fit}
@@ -129,7 +129,7 @@ class ModelEntry:
                 self.verdict["readiness"] = "NOT_USABLE"
 
     def fill_ranges(self, file: Path) -> None:
-        """Fill in voltages [V] and speed [V/s] that a model is known for, and the displacements [um] it reaches."""
+        """Fill in voltages [V] and speed [V/s] of the records of a model, and its reach [um]."""
         known = AxesModel.read(Run(), file)
         each: list[dict[str, Any]] = [
             {
@@ -152,7 +152,7 @@ class ModelEntry:
 def verdict_of(
     promise: Mapping[str, Any], readiness: str, basis: str, goal: float, why: Sequence[str]
 ) -> dict[str, Any]:
-    """Return what the page shows of a promise."""
+    """Return the parts of a promise that the page shows."""
     return {
         **{name: promise[name] for name in ("largest_percent", "rms_percent", "apart")},
         "largest_um": promise["largest_m"] * _MICRO,
@@ -207,7 +207,7 @@ class VoltageEntry:
     words: list[str] = field(default_factory=list)
 
     def fill(self, result: Mapping[str, Any], rate: float) -> None:
-        """Fill in the result of `compensate`, for a path of `rate` samples a second."""
+        """Fill in the result of `compensate`, for a path with `rate` samples a second."""
         several = isinstance(result["lowest_V"], Mapping)
 
         def each(name: str) -> list[Any]:

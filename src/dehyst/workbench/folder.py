@@ -34,13 +34,13 @@ _HEADER = """#!/bin/sh
 cd "$(dirname "$0")" || exit
 mkdir -p {places}
 """
-# Characters that a name of a file may hold, and its length.
+# Characters that are not allowed in a name of a file, and its largest length.
 _OTHERS, _LONGEST = re.compile(r"[^\w.+-]+"), 80
 _SUFFIX = re.compile(r"(\.\w{1,9})?")
 
 
 class Folder:
-    """A folder of one workbench, which no other user may read.
+    """The folder of one workbench, which no other user may read.
 
     Parameters
     ----------
@@ -81,13 +81,13 @@ class Folder:
         write_json(self.path / STATE, {"format": FORMAT, "version": 1, **state})
 
     def saved(self) -> dict[str, Any]:
-        """Return the state of the workbench before."""
+        """Return the state of an earlier workbench in the folder."""
         state = read_json(self.path / STATE)
         demand_version(state, f"{self.path / STATE}")
         return state
 
     def new(self, place: str, name: str, suffix: str = "") -> str:
-        """Return a relative path that does not exist yet, with the letters of a name that files may have.
+        """Return a relative path that does not exist yet, from a name without the characters that files may not have.
 
         Each path is returned only once, even if its file is written much later.
         """
@@ -103,16 +103,16 @@ class Folder:
         parts = relative.split("/")
         known = relative == SCRIPT or parts[0] in _PLACES
         if not known or "\\" in relative or "\0" in relative or any(part.startswith(".") or not part for part in parts):
-            raise FileFormatError(f"{relative}: is not a file of this workbench; choose one of its list")
+            raise FileFormatError(f"{relative}: is not a file of this workbench; choose a file of its list")
         path = self.path / relative
         # A link may lead elsewhere.
         if not path.resolve().is_relative_to(self.path) or not path.is_file():
-            raise FileFormatError(f"{relative}: is not a file of this workbench; choose one of its list")
+            raise FileFormatError(f"{relative}: is not a file of this workbench; choose a file of its list")
         return path
 
     def files(self) -> Iterator[dict[str, Any]]:
         """Yield each file of the list: path, bytes and kind."""
-        # Somebody may delete what is shown.
+        # The file may have been deleted in the meantime.
         there = [place for place in _PLACES if (self.path / place).is_dir()]
         for place in (*there, None):
             for path in sorted((self.path / place).iterdir()) if place else [self._script]:
@@ -136,7 +136,7 @@ class Folder:
 
     @contextmanager
     def receive(self, relative: str) -> Iterator[BinaryIO]:
-        """Open a file that arrives in parts; without its end nothing of it remains, and its name is free again."""
+        """Open a file that arrives in parts; if it stays incomplete, it is removed, and its name is free again."""
         path = self.path / relative
         draft = draft_of(path)
         try:
@@ -153,12 +153,12 @@ class Folder:
 
 
 def _made_private(folder: Path) -> str:
-    """Make a folder private; return a remark if other users can read it still."""
+    """Make a folder private; return a remark if other users can still read it."""
     if os.name == "posix":
         with suppress(OSError):
             folder.chmod(0o700)
         if folder.stat().st_mode & 0o077:
-            return f"{folder}: other users of this machine may read it, and that cannot be changed; give another folder"
+            return f"{folder}: other users of this machine may read it, and this cannot be changed; give another folder"
     return ""
 
 

@@ -1,4 +1,4 @@
-"""The forms of the page as data: labels, units, choices, hints. A label has the words of its option."""
+"""The forms of the page as data: labels, units, choices, hints. A label has the name of its option."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ _STRUCTURES = {
     "auto": "Automatic: select the parts by cross-validation",
     "maxwell_slip": "Maxwell-slip: slip elements and a spring (seconds)",
 }
-# Axes of which a record's form offers as many; quantities of each; and fields of a record's form that are no columns.
+# Numbers of axes that a record's form offers; quantities of an axis; and fields of the form that are no columns.
 AXES, QUANTITIES = ("x", "y", "z"), ("voltage", "displacement")
 PLAIN = {
-    "voltage_scale": {"label": "Scale of the voltage", "hint": "of an amplifier's monitor, e.g. 100"},
+    "voltage_scale": {"label": "Scale of the voltage", "hint": "gain of the amplifier whose monitor it is, e.g. 100"},
     "displacement_scale": {"label": "Scale of the displacement", "hint": "e.g. 10 um/V, fringe 316.4 nm"},
     "rate": {"label": "Sample rate in Hz", "hint": "instead of a column of time, e.g. 1000"},
-    "decimal": {"label": "Decimal sign", "hint": "a comma or a point, if the numbers do not show it"},
+    "decimal": {"label": "Decimal sign", "hint": "comma or point, if the numbers do not show it"},
 }
 _COLUMNS = {
     "time": ("Column of the time", ("s", "ms", "us", "ns", "min")),
@@ -29,7 +29,7 @@ _COLUMNS = {
 
 
 def _reading() -> Form:
-    """Return the fields of a record's form; the choices of its columns are those of the file."""
+    """Return the fields of a record's form; the file gives the choices of columns."""
     counts = [(str(k), f"{k}, coupled" if k > 1 else "1") for k in range(1, len(AXES) + 1)]
     found: Form = {"axes": {"label": "Axes", "choices": counts}}
     columns = ["time", *(f"{quantity}_{k}" for k in range(1, len(AXES) + 1) for quantity in QUANTITIES)]
@@ -41,7 +41,7 @@ def _reading() -> Form:
     return {**found, **names, **PLAIN}
 
 
-# A field: "above" or "least" and "optional" hold for its number, "many" for several numbers in it.
+# "above", "least" and "optional" describe the number in a field; "many" means several numbers.
 _SLEW = {"label": "Largest slew rate", "unit": "V/s", "placeholder": "none", "optional": True, "above": 0}
 FORMS: dict[str, Form] = {
     "excite": {
@@ -50,7 +50,7 @@ FORMS: dict[str, Form] = {
         "slew": _SLEW,
         "frequency": {
             **{"label": "Frequency", "unit": "Hz", "placeholder": "automatic", "optional": True, "above": 0},
-            "hint": "of the large loops, near that of use",
+            "hint": "of the large loops, near that of your use",
         },
     },
     "reading": _reading(),
@@ -58,15 +58,15 @@ FORMS: dict[str, Form] = {
         "structure": {"label": "Structure", "choices": [*_STRUCTURES.items()], "value": "auto"},
         "goal": {
             **{"label": "Goal", "unit": "% of the stroke", "value": "1", "optional": True, "above": 0},
-            "hint": "With a largest error below it the model is ready for use.",
+            "hint": "If the largest error is below it, the model is ready for use.",
         },
         "time_limit": {
             **{"label": "Time limit", "unit": "s", "placeholder": "none", "optional": True, "above": 0},
-            "hint": "Then the best model so far is completed.",
+            "hint": "After this time the best model so far is completed.",
         },
         "sensor_lag": {
             **{"label": "Sensor lag", "unit": "s", "placeholder": "unknown", "optional": True, "least": 0},
-            "hint": "Time constant of its filter; 0 if it has none.",
+            "hint": "Time constant of the sensor's filter; 0 if it has no filter.",
         },
         "name": {"label": "Name of the model", "placeholder": "of the first record", "text": True},
     },
@@ -79,25 +79,25 @@ FORMS: dict[str, Form] = {
     "export": {
         "rate": {
             **{"label": "Samples a second", "unit": "Hz", "placeholder": "any", "optional": True, "above": 0},
-            "hint": "A model with creep, inertia, a lag or a slew rate needs it.",
+            "hint": "Needed for a model with creep, inertia, a lag or a slew rate.",
         },
     },
     "check": {"record": {"label": "New record"}},
 }
 # Kinds of exports: title, text and, of a file, its suffix.
 EXPORTS = {
-    "c": ("C99", "Sources, numbers and a test for firmware; the same code as Python runs.", ""),
+    "c": ("C99", "Sources, numbers and a test for firmware; the same code as in Python.", ""),
     "fmu": ("FMU", "For co-simulation in Simulink, Modelica and others (FMI 2.0).", ".fmu"),
     "wasm": ("WebAssembly", "For a browser or node, with a JavaScript module.", ".wasm"),
 }
-# Units of scans as they are shown, options of several numbers with their hints, and first values.
+# Shown units of scans, options with several numbers and their hints, and first values.
 _UNITS = {"um": "\u00b5m", "um/s": "\u00b5m/s", "um/s2": "\u00b5m/s\u00b2", "share": ""}
-_MANY = {"levels": "with spaces or semicolons between them; it returns to the first"}
+_MANY = {"levels": "separated by spaces or semicolons; the scan returns to the first"}
 _FIRST = {"lines": "16", "dwell": "0.2"}
 
 
 def scan_form() -> Form:
-    """Return the fields of all named scans, as the library declares their options."""
+    """Return the fields of all named scans, from the options that the library declares."""
     found: Form = {
         "kind": {"label": "Scan", "choices": [(name, name.capitalize()) for name in SCANS], "value": "triangle"},
         "cycles": {"label": "Cycles", "hint": "default: 1", "optional": True},
@@ -119,7 +119,7 @@ def scan_form() -> Form:
 
 
 def scan_kinds() -> dict[str, dict[str, list[str]]]:
-    """Return, for each named scan, the fields that it needs, and those that it may have."""
+    """Return the needed and the optional fields of each named scan."""
     kinds = {}
     for name, scan in SCANS.items():
         played = ["axis"] * ("y_low" in scan.may) + ["cycles"] * (name != "steps")

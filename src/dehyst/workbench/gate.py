@@ -14,9 +14,9 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 _READING = ("GET", "HEAD")
 _METHODS = (*_READING, "POST", "PUT", "DELETE")
-# A browser sends these values with a request that its own page or its user made.
+# The values of a request that the page itself or the user made.
 _OWN_SITES = ("same-origin", "none")
-# Headers that decide, none of which may come twice.
+# Headers that decide about access; each may appear only once.
 _DECIDING = ("host", "origin", "cookie", "sec-fetch-site")
 _HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -31,9 +31,9 @@ _HEADERS = {
 }
 _REFUSED = 1008
 _NO_COOKIE = "the cookie of this workbench is missing"
-_EARLIER = "Refused: this link is that of an earlier workbench. Open the one that dehyst workbench printed last."
-# The page that a link leads to: a browser sends the cookie with what this page requests, but perhaps not with what
-# another site or a file led to. It names an empty icon, as the workbench has none at /favicon.ico.
+_EARLIER = "Refused: this link is from an earlier workbench. Open the link that dehyst workbench printed last."
+# The page behind the link. A browser sends the cookie with requests of this page, but perhaps not with a request that
+# another site or a file started. The icon is empty, because the workbench has none at /favicon.ico.
 _ENTRANCE = (
     '<!DOCTYPE html><meta charset="utf-8"><meta http-equiv="refresh" content="0; url=/"><title>dehyst workbench</title>'
     '<link rel="icon" href="data:,"><a href="/">Open the workbench</a>'
@@ -76,15 +76,15 @@ class Gate:
             await send({"type": "websocket.close", "code": _REFUSED, "reason": reason})
 
     def _objection(self, asked: HTTPConnection) -> str | None:
-        """Return why a request is refused, the cookie last; None if it may pass."""
+        """Return why a request is refused, None if it is allowed; the cookie is checked last."""
         scope, headers = asked.scope, asked.headers
         origin, method = headers.get("origin"), scope.get("method", "GET")
         changes = scope["type"] == "websocket" or method not in _READING
-        # A link that was followed from another site may show the page, which is then without its cookie.
+        # A link on another site may lead to the page; then the browser sends no cookie.
         followed = scope["path"] == "/" and not changes
         objections = {
-            "two headers of one name": any(len(headers.getlist(name)) > 1 for name in _DECIDING),
-            "the Host is not this machine's": headers.get("host") not in self._hosts,
+            "two headers have the same name": any(len(headers.getlist(name)) > 1 for name in _DECIDING),
+            "the Host is not this machine": headers.get("host") not in self._hosts,
             "the Origin is another page": origin is not None and origin not in self._origins,
             "there is no such method": method not in _METHODS,
             "it was sent by another site": not followed and headers.get("sec-fetch-site", "none") not in _OWN_SITES,
@@ -94,7 +94,7 @@ class Gate:
         return next((words for words, applies in objections.items() if applies), None)
 
     def _refusal(self, asked: HTTPConnection, reason: str) -> Response:
-        """Return the answer to a request that may not pass: the cookie, if it follows a link that lets it in."""
+        """Return the answer to a refused request, or the cookie if the request has a valid link."""
         token = asked.query_params.get("token")
         follows = asked.scope["path"] == "/" and asked.scope["method"] == "GET" and token is not None
         if reason != _NO_COOKIE or not follows:

@@ -17,19 +17,19 @@ from dehyst._errors import DehystError
 from dehyst.operations.command import context_of
 from dehyst.workbench.folder import Folder
 
-# A session has one person, and a small computer two cores.
+# Two workers are enough for one user on a computer with two cores.
 _AT_ONCE = 2
 # Ended jobs that are still listed.
 _LISTED = 20
-# Seconds that a worker has to end after SIGTERM.
+# Seconds that a worker may take to end after SIGTERM.
 _PATIENCE = 5.0
-# Bytes of its longest message.
+# Bytes of a worker's longest message.
 _LONGEST = 1 << 26
 Progress: TypeAlias = Callable[[str], None]
 
 
 def words_of(command: str, *arguments: str, **options: Any) -> list[str]:
-    """Return the words of a command; raise OperationError if they cannot be understood.
+    """Return the words of a command; raise OperationError if the command does not understand them.
 
     An option that is None or empty is left out; a list gives it several times, and a tuple several words.
     """
@@ -62,7 +62,7 @@ class Finished:
 
     @property
     def words(self) -> str:
-        """A sentence on why there is no result."""
+        """A sentence that says why there is no result."""
         return str(self.error.get("message", "it was stopped"))
 
 
@@ -76,7 +76,7 @@ class Worker:
 
     @property
     def alive(self) -> bool:
-        """Whether it can run another operation."""
+        """Whether the worker can run another operation."""
         return not self._stopped and self._process is not None and self._process.returncode is None
 
     async def run(self, step: Sequence[str], progress: Progress) -> Finished:
@@ -118,11 +118,11 @@ class Worker:
         )
 
     def finish(self) -> None:
-        """Request its best result so far, as Ctrl-C does."""
+        """Request the best result so far, as Ctrl-C does."""
         self._send(signal.SIGINT)
 
     def stop(self) -> None:
-        """End it without a result."""
+        """End the operation without a result."""
         self._stopped = True
         self._send(signal.SIGTERM)
 
@@ -192,7 +192,7 @@ class Jobs:
         return entry.id
 
     def running(self, subject: str, kind: str | None = None) -> list[str]:
-        """Return the keys of the running jobs of a subject, of one kind or of any."""
+        """Return the keys of the running jobs of a subject, of one kind or of all kinds."""
         return [
             job.id
             for job in self.entries.values()
@@ -234,7 +234,7 @@ class Jobs:
                         break
                     self._folder.note(["dehyst", *step])
             entry.progress = ""
-            # First: a page that sees a job done looks for what it made.
+            # Call it first: when a job is done, the page looks for its results.
             after = done(finished)
             if inspect.isawaitable(after):
                 await after
@@ -245,7 +245,7 @@ class Jobs:
             entry.status, entry.error = "failed", str(error)
         finally:
             if entry.status == "running":
-                entry.status, entry.error = "failed", "the workbench failed at it; see the terminal"
+                entry.status, entry.error = "failed", "the workbench failed; see the terminal"
             ended = [key for key, job in self.entries.items() if job.status != "running"]
             for key in ended[:-_LISTED]:
                 del self.entries[key]

@@ -1,4 +1,4 @@
-"""How a file is read: the values of its form, by its columns and what was given or suggested, and what they mean."""
+"""The form that says how a file is read: its values, and the text of columns that they give."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from dehyst.workbench.entries import RecordEntry
 from dehyst.workbench.forms import AXES, FORMS, PLAIN, QUANTITIES
 
 _AXIS = re.compile(r"[A-Za-z]\w*")
-_COUPLED = "There are {} voltages with displacements, perhaps of coupled axes: check the pairs."
+_COUPLED = "The file has {} voltages with displacements, perhaps of coupled axes: check the pairs."
 _SIGNS = {".": "point", ",": "comma"}
-# Stand for a number in a suggested scale, and for a unit.
+# Placeholders of a number in a suggested scale, and of a unit.
 _GAIN, _UNIT = "GAIN", "UNIT"
-# A person's decimal comma; another comma would begin the next column.
+# A typed decimal comma; in a text of columns a comma would begin the next column.
 _COMMA = re.compile(r"(?<=\d),(?=\d)")
 
 
 def form_of(record: RecordEntry) -> dict[str, Any]:
-    """Return the values of a record's form: its columns, and those that are suggested, whose fields are `marked`.
+    """Return the values of a record's form; fields with suggested columns are `marked`.
 
-    `pairs`: columns for coupled axes, if there are some.
+    `pairs`: columns for coupled axes, if there are any.
     """
     voltages, displacements, times = (_of_unit(record, quantity) for quantity in ("voltage", "displacement", "time"))
     found = list(zip(voltages, displacements, strict=False))[: len(AXES)]
@@ -44,7 +44,7 @@ def form_of(record: RecordEntry) -> dict[str, Any]:
 
 
 def columns_of(record: RecordEntry, values: Mapping[str, Any]) -> str:
-    """Return the text of columns that the values of a record's form mean.
+    """Return the text of columns for the values of a record's form.
 
     Raises
     ------
@@ -63,15 +63,15 @@ def columns_of(record: RecordEntry, values: Mapping[str, Any]) -> str:
                 raise RequestError("A scale needs its column: choose the column.")
             continue
         if not column.isdigit() or int(column) >= len(names) or column in [text.split()[0] for text in used.values()]:
-            raise RequestError("A column stands in two fields: choose each column once.")
+            raise RequestError("A column is in two fields: choose each column once.")
         place = int(column)
-        # By its number where its name is not its own, or would be read otherwise.
+        # Use the number of a column if its name is not unique, or would be read differently.
         plain = names.count(names[place]) == 1 and split(names[place]) == (names[place], "", "")
         text = (names[place] if plain and "=" not in names[place] else str(place + 1)) + (unit and f":{unit}")
         used[field] = f"{column} {text}{scale and f'*{scale}'}"
     texts = {field: text.partition(" ")[2] for field, text in used.items()}
     if count > 1 and len(texts) < 2 * count + (not given.get("rate")):
-        raise RequestError("Several axes: choose all their columns, and that of the time.")
+        raise RequestError("Several axes: choose all their columns, and the column of the time.")
     entries = {"time": texts["time"]} if "time" in texts else {}
     for k in range(1, count + 1):
         pair = [texts.get(f"{quantity}_{k}", "") for quantity in QUANTITIES]
@@ -118,14 +118,14 @@ def _values(record: RecordEntry, suggested: Mapping[str, str]) -> dict[str, str]
     axes = [key for key in given if key not in RECORD]
     words = [re.match(r"[A-Za-z][A-Za-z0-9]*", names[k]) for k in _of_unit(record, "displacement")[: len(AXES)]]
     usual = [word[0] for word in words if word]
-    # Axes have the names of their columns, if these differ.
+    # Axes are named like their columns, if these names differ.
     own = usual if len({*usual}) == len(words) > 1 else AXES
     values |= {f"name_{k}": name for k, name in enumerate(axes or own, 1)}
     return values | {"axes": str(len(axes) or 1)}
 
 
 def _of_unit(record: RecordEntry, quantity: str) -> list[int]:
-    """Return the places of the columns in a unit of a quantity."""
+    """Return the indices of the columns whose unit measures a quantity."""
     units = FORMS["reading"][f"{_field(quantity)}_unit"]["choices"]
     known = {value for value, _ in units if value}
     return [k for k, column in enumerate(record.file_columns) if column.get("unit") in known]

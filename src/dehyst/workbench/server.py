@@ -29,7 +29,7 @@ from dehyst.workbench.session import WorkbenchSession
 if TYPE_CHECKING:
     from starlette.websockets import WebSocket
 
-# Seconds between two states, so that many changes at once are one message.
+# Least seconds between two messages: many changes are sent together.
 _PAUSE = 0.05
 
 
@@ -46,7 +46,7 @@ class Events:
         self._state, self._change = state, asyncio.Event()
 
     def changed(self) -> None:
-        """Send the state soon; several changes are sent together."""
+        """Send the state soon, once for several changes."""
         before, self._change = self._change, asyncio.Event()
         before.set()
 
@@ -61,12 +61,12 @@ class Events:
 
 _PAGE = Path(__file__).with_name("page")
 _TYPES = {".css": "text/css", ".js": "text/javascript"}
-# The record to try, which is made when it is asked for.
+# The example record, which is made when it is requested.
 EXAMPLE = "virtual-loops.csv"
 
 
 class PageFiles:
-    """The page, its scripts and styles, and a record to try."""
+    """The page, its scripts and styles, and an example record."""
 
     def __init__(self) -> None:
         texts = {name: files.text(name) for name in files.names()}
@@ -102,12 +102,12 @@ def _virtual_loops() -> bytes:
         return file.read_bytes()
 
 
-# A page that dehyst wrote may only run its own script when it is opened from here, without this origin.
+# A report that is opened from here may run only its own script, and does not get the origin of the workbench.
 _SANDBOX = (
     "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; "
     "style-src 'unsafe-inline'; img-src data:; font-src data:"
 )
-# Bytes of a request that is not an upload.
+# Most bytes of a request that is not an upload.
 _MOST_JSON = 8_000_000
 
 
@@ -124,13 +124,13 @@ def _refused(_: Request, error: Exception) -> Response:
 
 
 def _unusable(_: Request, error: Exception) -> Response:
-    """Answer an error of the disk."""
+    """Answer that the disk failed."""
     assert isinstance(error, OSError)
-    return JSONResponse({"error": f"the folder cannot be used: {error.strerror}; is it still there?"}, 500)
+    return JSONResponse({"error": f"the folder cannot be used: {error.strerror}; does it still exist?"}, 500)
 
 
 def _gone(_: Request, __: Exception) -> Response:
-    """Answer a page that has left: nobody reads it."""
+    """Answer a page that was closed: nobody reads the answer."""
     return Response(status_code=400)
 
 
@@ -139,7 +139,7 @@ _Handler: TypeAlias = Callable[[Request], Awaitable[Any]]
 
 
 def _answering(handler: _Handler) -> Callable[[Request], Awaitable[Response]]:
-    """Return a handler whose JSON values are answers."""
+    """Return a handler that answers with the returned JSON values."""
 
     async def answer(request: Request) -> Response:
         found = await handler(request)
@@ -156,7 +156,7 @@ def json_of(text: bytes | str) -> dict[str, Any]:
 
     try:
         value = json.loads(text or b"{}", parse_constant=no_number)
-        # A half of a letter outside the basic plane can neither be stored nor sent again.
+        # Half of a surrogate pair can neither be stored nor sent again.
         json.dumps(value, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as error:
         raise RequestError(f"the request is no JSON ({error})") from error
@@ -181,7 +181,7 @@ async def body_of(request: Request) -> dict[str, Any]:
 
 
 class Workbench:
-    """The requests of the page of a workbench in a `folder`."""
+    """The requests of the page, for a workbench in a `folder`."""
 
     def __init__(self, folder: Path) -> None:
         self.session = WorkbenchSession(Folder(folder))
@@ -262,7 +262,7 @@ class Workbench:
         body, key = await body_of(request), request.path_params["key"]
         columns, values, record = body.get("columns", ""), body.get("form"), self.session.record(key)
         if not isinstance(columns, str) or not isinstance(values, dict | None):
-            raise RequestError("columns, form: need a text, or an object with a text for each field")
+            raise RequestError("columns, form: need a text, or an object with one text for each field")
         self.session.read_record(key, columns if values is None else columns_of(record, values))
 
     async def record_data(self, request: Request) -> Any:
@@ -272,7 +272,7 @@ class Workbench:
         if axis not in (entry.axes or [""]):
             raise RequestError(f"axis: got {axis[:40]!r}, need {', '.join(entry.axes) or 'none'}")
         if not entry.file:
-            raise RequestError("it has no samples yet; wait until it is read")
+            raise RequestError("the record has no samples yet; wait until it is read")
         columns = await asyncio.to_thread(record_columns, self.session.folder.path / entry.file, axis)
         return Response(packed(columns), media_type="application/octet-stream")
 

@@ -1,4 +1,4 @@
-"""Start of a workbench: its port, its server, and the link that lets a browser in."""
+"""The start of a workbench: its port, its server, and the link for a browser."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _REDIRECT = """<!DOCTYPE html>
 
 
 class Door(NamedTuple):
-    """The way into a workbench: a link, a private file that leads to it, and a remark on the folder's permissions.
+    """The way into a workbench: a link, a private file with this link, and a remark on the folder's permissions.
 
-    A browser is opened with the file: its command line, which other users can read, then holds no token.
+    The browser is opened with the file: other users can read its command line, which must not contain the token.
     """
 
     link: str
@@ -32,9 +32,9 @@ class Door(NamedTuple):
 
 
 def _written_page(folder: Path, link: str) -> Path:
-    """Write the private file that leads a browser to a link."""
+    """Write the private file that opens a link in a browser."""
     page = folder / _PAGE
-    # A killed workbench may have left one.
+    # A killed workbench may have left this file.
     page.unlink(missing_ok=True)
     with os.fdopen(os.open(page, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as stream:
         stream.write(_REDIRECT.format(link=link))
@@ -42,11 +42,11 @@ def _written_page(folder: Path, link: str) -> Path:
 
 
 HOST = "127.0.0.1"
-# Taken unless another port is given; if it is in use, any that is free.
+# The default port; if it is in use, any free port is taken.
 PORT = 8754
-# Seconds that open connections have to end.
+# Seconds that open connections may take to end.
 _PATIENCE = 1
-# Connections at once, and the longest message of a page.
+# Most simultaneous connections, and the longest message of a page.
 _MOST, _LONGEST_MESSAGE = 96, 65536
 
 
@@ -98,7 +98,7 @@ def serve(folder: Path, *, port: int | None = None, opened: Callable[[Door], Non
             timeout_graceful_shutdown=_PATIENCE,
         )
         try:
-            # The socket listens already: a browser that is faster than the server waits.
+            # The socket listens already: a browser that is faster than the server has to wait.
             opened(door)
             uvicorn.Server(config).run(sockets=[listener])
         finally:
@@ -113,5 +113,7 @@ def _listening(port: int | None) -> socket.socket:
         if error.errno not in (errno.EADDRINUSE, errno.EACCES):
             raise
         if port is not None:
-            raise DehystError(f"port {port}: is in use or not allowed; give another --port, or 0 for any") from error
+            raise DehystError(
+                f"port {port}: is in use or not allowed; give another --port, or 0 for a free one"
+            ) from error
         return socket.create_server((HOST, 0))

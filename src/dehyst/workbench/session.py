@@ -26,12 +26,12 @@ from dehyst.workbench.jobs import Finished, Jobs, Worker, words_of
 from dehyst.workbench.reading import form_of
 
 _T = TypeVar("_T")
-# Seconds after a change until it is on the disk.
+# Seconds between a change and its writing to the disk.
 _SOON = 0.5
-# Columns of a file from which the page offers to choose.
+# Most columns of a file that the page offers as choices.
 _MOST_COLUMNS = 500
 _NO_RECORD = (
-    "this is a model, and the page shows those that it identified: drop the record that it was identified from, or use "
+    "this is a model, but the page shows only models that it identified: drop the training record of the model, or use "
     "the model in a terminal (dehyst check, dehyst compensate)"
 )
 # Options of an identification that the page may give.
@@ -98,7 +98,7 @@ class WorkbenchSession:
         return _found(self.records, key, "record")
 
     def model(self, key: str, *, ready: bool = False) -> ModelEntry:
-        """Return a model, with `ready` only a usable one; raise SessionError if its key is unknown."""
+        """Return a model; raise SessionError if its key is unknown or, with `ready`, if the model is not usable."""
         entry = _found(self.models, key, "model")
         if ready and entry.status != "ready":
             raise SessionError(f"{entry.name}: is not ready ({entry.status}); wait until it is, or identify again")
@@ -127,20 +127,20 @@ class WorkbenchSession:
         return entry
 
     def read_record(self, key: str, columns: str = "") -> None:
-        """Read a record's file, perhaps again, with a text of columns; only files in the folder are joined."""
+        """Read a record's file (again) with a text of columns; only files in the folder are joined."""
         entry = self.record(key)
         if users := [model.name for model in self.models.values() if entry.id in (*model.train, *model.validate)]:
             raise SessionError(f"{entry.name}: {users[0]} was identified from it; upload the file again instead")
         if self.jobs.running(entry.id):
-            raise SessionError(f"{entry.name}: is being read; wait until that is done")
+            raise SessionError(f"{entry.name}: is being read; wait until this is done")
         if columns.startswith("@"):
-            raise SessionError(f"columns: got {columns[:40]!r}, need their text")
+            raise SessionError(f"columns: got {columns[:40]!r}, need a text of columns")
         known = Columns.parse(columns)
         known.demand([key for key in RECORD if key != "join"], "on the page", axes=bool(known.axes))
         if known.axes:
             known.of_axes()
         file = entry.file or self.folder.new(places.RECORDS, entry.name, ".npz")
-        # A record is a measurement, which is not replaced without force: here by the same file, read otherwise.
+        # Records are replaced only with --force: here the same file is read with other columns.
         step = [*words_of("show", entry.source, output=file, columns=str(known)), "--force"]
         entry.columns, entry.status, entry.error, entry.hint = str(known), "reading", None, ""
         if is_model(self.folder.path / entry.source):
@@ -153,7 +153,7 @@ class WorkbenchSession:
             first = told if "file_columns" in told else next((o for o in told.values() if isinstance(o, dict)), {})
             entry.file_columns = first.get("file_columns", [])[:_MOST_COLUMNS] or entry.file_columns
             if finished.result is None:
-                # A suggestion is in the form already.
+                # The form has the suggestion already.
                 words = str(finished.error.get("reason", finished.words))
                 entry.status, entry.error = "refused", words.replace(entry.source, Path(entry.source).name)
                 entry.hint = str(finished.error.get("suggestion", ""))
@@ -167,11 +167,11 @@ class WorkbenchSession:
         """Identify a model from records: `train`, `validate` and `options`."""
         train, validate = (self._usable(request.get(role, ())) for role in ("train", "validate"))
         if not train:
-            raise SessionError("train: got no record, need one at least; choose the records to identify from")
+            raise SessionError("train: got no record, need at least one; choose the records to identify from")
         if twice := {record.id for record in train} & {record.id for record in validate}:
-            raise SessionError(f"{', '.join(sorted(twice))}: to train and to validate; choose one for each record")
+            raise SessionError(f"{', '.join(sorted(twice))}: got two roles, need one; choose one for each record")
         if len({tuple(record.axes) for record in (*train, *validate)}) > 1:
-            raise SessionError("train: got records of different axes, need the same ones in all")
+            raise SessionError("train: got records of different axes, need the same axes in all records")
         options = request.get("options", {})
         if not isinstance(options, dict):
             raise SessionError("options: need an object with a value for each option")
@@ -192,7 +192,7 @@ class WorkbenchSession:
         async def done(finished: Finished) -> None:
             entry.seconds, entry.progress = time.monotonic() - began, ""
             if finished.result is not None and (self.folder.path / file).exists():
-                # Before the entry is ready: a page uses the ranges of every model that is.
+                # Fill in the ranges before the entry is ready: the page uses the ranges of every ready model.
                 await asyncio.to_thread(entry.fill_ranges, self.folder.path / file)
             entry.fill(finished)
 
@@ -201,7 +201,7 @@ class WorkbenchSession:
         return entry
 
     def end(self, key: str) -> None:
-        """End an identification: the first time with the best model so far, the second time at once."""
+        """End an identification: the first call keeps the best model so far, the second call ends it at once."""
         entry = self.model(key)
         if entry.status != "identifying":
             raise SessionError(f"{entry.name}: is not being identified ({entry.status})")
@@ -227,7 +227,7 @@ class WorkbenchSession:
         return self.jobs.start("insight", entry.id, [words], done)
 
     def check(self, key: str, request: Mapping[str, Any]) -> str:
-        """Check whether a model is still true by a `record`; return the job."""
+        """Check with a `record` whether a model is still true; return the job."""
         model, record = self.model(key, ready=True), self._usable([request.get("record")])[0]
 
         def done(finished: Finished) -> None:
@@ -270,7 +270,7 @@ class WorkbenchSession:
         return self.jobs.start("update", model.id, [step], done)
 
     def _list_updated(self, model: ModelEntry, file: str, record: str, verdicts: Mapping[str, dict[str, Any]]) -> None:
-        """List a model that another one became by a record, with the verdict of each axis."""
+        """List a model that was updated from a record, with the verdict of each axis."""
         entry = replace(
             model,
             id=self._id("m"),
@@ -288,7 +288,7 @@ class WorkbenchSession:
         self.touch()
 
     def follow(self, key: str, request: Mapping[str, Any]) -> str:
-        """Compute the voltage for a path with a model: `points` or `scan`; return the job."""
+        """Compute the voltage for a path (`points` or `scan`) with a model; return the job."""
         model = self.model(key, ready=True)
         file = self.folder.new(places.VOLTAGES, str(request.get("name") or model.name), ".csv")
         steps = self._path_steps(model, request, file)
@@ -302,7 +302,7 @@ class WorkbenchSession:
         return self.jobs.start("compensate", entry.id, steps, done)
 
     def export(self, key: str, request: Mapping[str, Any]) -> str:
-        """Export a model as a `kind`: c, fmu or wasm, with a `period` [s] or none; return the job."""
+        """Export a model as a `kind`: c, fmu or wasm, with a `period` [s] or without; return the job."""
         model, kind = self.model(key, ready=True), str(request.get("kind", ""))
         if kind not in EXPORTS:
             raise SessionError(f"kind: got {kind!r}, need {', '.join(EXPORTS)}")
@@ -312,7 +312,7 @@ class WorkbenchSession:
 
         def done(finished: Finished) -> None:
             if period is None and "period" in finished.error.get("change", ()):
-                raise SessionError(f"{model.name}: depends on time; give Samples a second (Hz)")
+                raise SessionError(f"{model.name}: depends on time; fill in Samples a second (Hz)")
 
         return self.jobs.start("export", model.id, [words_of("export", model.file, target, period=period)], done)
 
@@ -329,7 +329,7 @@ class WorkbenchSession:
                 del entries[key]
                 self.touch()
                 return
-        raise SessionError(f"{key}: there is none; reload the page")
+        raise SessionError(f"{key}: does not exist; reload the page")
 
     async def close(self) -> None:
         """End all jobs and save the state."""
@@ -338,7 +338,7 @@ class WorkbenchSession:
         self.folder.close()
 
     def _path_steps(self, model: ModelEntry, request: Mapping[str, Any], file: str) -> list[list[str]]:
-        """Return the operations that compute a voltage: of points, or of the path of a scan."""
+        """Return the operations that compute the voltage of points or of a scan."""
         before, columns = [], None
         if "points" in request:
             path = self.folder.new(places.PATHS, Path(file).stem, ".csv")
@@ -369,7 +369,7 @@ class WorkbenchSession:
         return f"{letter}{self._last}"
 
     def touch(self) -> None:
-        """Announce a change of the state, and save the state soon."""
+        """Announce a change of the state, and save it soon."""
         self.revision += 1
         self.changed()
         if self._saving is None:
@@ -386,25 +386,25 @@ class WorkbenchSession:
         self.folder.save(finite({"last": self._last, **self._entries()}))
 
     def _take_up(self, saved: Mapping[str, Any]) -> None:
-        """Take up the session that the folder holds; what ran when it ended was cancelled."""
+        """Continue the session in the folder; jobs that ran when it ended were cancelled."""
         self._last = int(saved.get("last", 0))
         for kind, entry in _KINDS.items():
             setattr(self, kind, _restored(entry, saved.get(kind, ())))
         for record in self.records.values():
             if record.status == "reading":
-                record.status, record.error = "refused", "the workbench ended while it was read; read it again"
+                record.status, record.error = "refused", "the workbench ended while the record was read; read it again"
         for model in self.models.values():
             if model.status == "identifying":
                 model.status, model.error = "cancelled", "the workbench ended during the identification"
 
 
 def _restored(kind: Callable[..., _T], saved: Any) -> dict[str, _T]:
-    """Return entries from a state file; what it does not know is left out."""
+    """Return entries from a state file; unknown fields are left out."""
     known = {part.name for part in fields(kind)}  # type: ignore[arg-type]
     return {entry["id"]: kind(**{name: value for name, value in entry.items() if name in known}) for entry in saved}
 
 
 def _found(entries: Mapping[str, _T], key: str, what: str) -> _T:
     if key not in entries:
-        raise SessionError(f"{key}: there is no such {what}; reload the page")
+        raise SessionError(f"{key}: no such {what} exists; reload the page")
     return entries[key]

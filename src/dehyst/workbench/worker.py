@@ -3,7 +3,7 @@
 It reads requests and writes messages, each a line with a JSON object. A request is ``{"do": WORDS}``, the words of a
 command. Messages are ``{"progress": WORDS}`` and, at the end of the operation, ``{"done": {...}}`` with a
 "result" and whether it is "good", an "error", or "stopped". SIGINT ends a running operation early, with its best result
-so far. The process ends when its input does, or by SIGTERM.
+so far. The process ends at the end of its input, or by SIGTERM.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dehyst.operations.command import context_of
 from dehyst.operations.run import Run, perform, terminable
 
 Message = dict[str, Any]
-# The server's work comes first.
+# The server has a higher priority.
 _NICE = 5
 
 
@@ -36,14 +36,14 @@ class _WorkerRun(Run):
         self._send = send
 
     def progress(self, words: str) -> None:
-        """Send what is being done."""
+        """Send a message about progress."""
         if words:
             self._send({"progress": words})
 
 
 def main() -> None:
     """Run operations until the process is ended."""
-    # Windows has no such number.
+    # Windows has no niceness.
     if hasattr(os, "nice"):
         os.nice(_NICE)
     output = _own_output()
@@ -56,7 +56,7 @@ def main() -> None:
 
     threading.Thread(target=_receive, args=(requests,), daemon=True).start()
     while True:
-        # Between two operations there is nothing to end.
+        # Between two operations the signal has no effect.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         request = requests.get()
         try:
@@ -69,7 +69,7 @@ def main() -> None:
 
 
 def _own_output() -> int:
-    """Return a descriptor of standard output for messages only: the output of libraries is discarded."""
+    """Return a descriptor of standard output that only messages use: the output of libraries is discarded."""
     descriptor = os.dup(1)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
@@ -78,7 +78,7 @@ def _own_output() -> int:
 
 
 def _receive(requests: SimpleQueue[Message]) -> None:
-    """Queue the requests of the input, whose end ends the process."""
+    """Queue the requests of the input; its end ends the process."""
     for line in sys.stdin.buffer:
         requests.put(json.loads(line))
     os.kill(os.getpid(), signal.SIGTERM)

@@ -28,7 +28,7 @@ __all__ = [
     "linear_ratio",
 ]
 
-# The entry points of `pyproject.toml`: name of a model to a function of a list of records.
+# The entry points of `pyproject.toml`: the name of each model, and a function of a list of records.
 RIVALS = {
     "Goldfarb-Celanovic": GoldfarbCelanovic.fit,
     "Prandtl-Ishlinskii": PrandtlIshlinskii.fit,

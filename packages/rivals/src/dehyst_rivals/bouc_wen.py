@@ -1,10 +1,10 @@
-"""Bouc and Wen's model, followed by a cubic map.
+"""The model of Bouc and Wen, followed by a cubic map.
 
     h' = alpha v' - beta |v'| h - gamma v' |h|,     w = v - h,     y = p(w)
 
 Y.-K. Wen, J. Eng. Mech. Div. ASCE 102(2), 1976, 249-263; for piezo actuators, with a linear p, T. S. Low, W. Guo, J.
-Microelectromech. Syst. 4(4), 1995, 230-237. Its loop is symmetric; the cubic map stands for the asymmetric extensions
-of the literature. Minor loops drift with it: it does not wipe out.
+Microelectromech. Syst. 4(4), 1995, 230-237. Its loop is symmetric; the cubic map replaces the asymmetric extensions of
+the literature. Its minor loops drift, because the model has no wiping out.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from dehyst_rivals.least_squares import Solution, solve
 from dehyst_rivals.training import Training, fit_with_delay
 
 _SEARCH_ROWS = 2000
-# Bounds of alpha, of the part of v that a reversal hides at first, and of log((beta + gamma) times the range of v).
+# Bounds of alpha, of the part of v that a reversal first hides, and of log((beta + gamma) times the range of v).
 _LEAST, _MOST = np.array([0.02, 0.02, np.log(0.3)]), np.array([0.98, 0.98, np.log(60.0)])
 _POLISHED = 6
 _MAJOR_LOOPS = 8
@@ -61,7 +61,7 @@ class BoucWen(AbstractBaseline):
     cubic: Array
     state: BoucWenState = None  # type: ignore[assignment]
     delay: float = 0.0
-    # Three of the equation, four of the map.
+    # Three coefficients of the equation, four of the map.
     parameters = 7
 
     def __post_init__(self) -> None:
@@ -90,7 +90,7 @@ class BoucWen(AbstractBaseline):
     def _run(
         self, drive: Array, state: BoucWenState, time: ArrayLike | None, *, inverse: bool
     ) -> tuple[Array, BoucWenState]:
-        # Inverse, each sample solves one equation in v, which increases: by Newton's method within a bracket.
+        # The inverse solves an increasing equation in v for each sample, by Newton's method within a bracket.
         most = self.alpha / (self.beta + self.gamma) * (1 + 1e-9)
         if not abs(state.hidden) <= most:
             raise ModelError(f"state: got {state!r}, need a BoucWenState whose hidden part is at most {most:g} V")
@@ -111,7 +111,7 @@ class BoucWen(AbstractBaseline):
         delay: float | None = None,
         seed: int = 0,
     ) -> BoucWen:
-        """Least squares of the simulated displacement, nonlinear in alpha, beta and gamma, from many starts.
+        """Fit by least squares of the simulated displacement, nonlinear in alpha, beta and gamma, from many starts.
 
         For given alpha, beta and gamma, the map and the constants of the records are linear parameters and are
         eliminated. Parameters are those of every model, see `training`, and `starts`: number of random
@@ -151,11 +151,11 @@ class _BoucWenFit:
         return alpha, beta, total - beta
 
     def solve(self, at: Array) -> tuple[Solution, tuple[float, float]]:
-        """Return the map in Bernstein's form, less its least slopes, with the constants; and the limits of w."""
+        """Return the map in Bernstein's form minus its least slopes, with the constants; and the limits of w."""
         alpha, beta, gamma = self.equation(at)
         numbers = np.array([alpha, beta, gamma, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0])
         low, high = self.training.limits
-        # The state before a record is not known: take that of the closed major loop.
+        # The state before a record is not known: take the state of the closed major loop.
         past = np.array([high, low] * _MAJOR_LOOPS)
 
         def lag(piece: Record) -> Array:
@@ -165,7 +165,7 @@ class _BoucWenFit:
         w = self.training.sampled(lag)
         low, high = float(w.min()), float(w.max())
         t = (w - low) / (high - low)
-        # Integrals of Bernstein's quadratics: a slope whose coefficients are positive is positive.
+        # Integrals of Bernstein polynomials of degree 2: if their coefficients are positive, the slope is positive.
         columns = np.column_stack([1 - (1 - t) ** 3, t * t * (3 - 2 * t), t**3]) / 3
         target = self.training.displacement - columns @ np.full(3, self.floor)
         return solve(self.training.nuisances, columns, target), (low, high)
@@ -175,7 +175,7 @@ class _BoucWenFit:
         return self.solve(at)[0].residual / self.training.stroke
 
     def polished(self, starts: Array) -> Array:
-        """Return the best end of the search from the most promising starts."""
+        """Return the best result of searches from the most promising starts."""
         from scipy.optimize import least_squares
 
         costs = [float(np.sum(self.residual(start) ** 2)) for start in starts]

@@ -70,7 +70,7 @@ class Duhem(AbstractBaseline):
         keep(self, **{name: vector(getattr(self, name), name) for name in ("anhysteretic", "reversible")})
         if _slopes(self.rate, self.anhysteretic, self.reversible).min() <= 0:
             raise ModelError(
-                "anhysteretic and reversible: displacement would fall somewhere while the voltage rises; need a "
+                "anhysteretic and reversible: the displacement would fall somewhere while the voltage rises; need a "
                 "reversible share above the rate times half of the loop's width"
             )
         if self.state is None:
@@ -84,7 +84,7 @@ class Duhem(AbstractBaseline):
 
     @cached_property
     def _tables(self) -> tuple[Array, Array, Array]:
-        """Numbers and both polynomials as the stepper takes them."""
+        """Numbers and both polynomials, for the stepper."""
         low, high = self.limits
         rise, fall = _branches(self.rate, self.anhysteretic, self.reversible)
         mean = float(np.ptp(_major_loop(self.rate, rise, fall)[0])) / (high - low)
@@ -93,7 +93,7 @@ class Duhem(AbstractBaseline):
     def _run(
         self, drive: Array, state: DuhemState, time: ArrayLike | None, *, inverse: bool
     ) -> tuple[Array, DuhemState]:
-        # Inverse, each sample solves one equation in v, which increases: by Newton's method within a bracket.
+        # The inverse solves an increasing equation in v for each sample, by Newton's method within a bracket.
         numbers, rise, fall = self._tables
         out, v, y = compiled.coleman_hodgdon(numbers, rise, fall, state.voltage, state.displacement, drive, inverse)
         return out, DuhemState(v, y)
@@ -107,7 +107,7 @@ class Duhem(AbstractBaseline):
         slope_floor: float = 0.1,
         delay: float | None = None,
     ) -> Duhem:
-        """Fit by least squares of the simulated displacement: linear in f and g, nonlinear in the rate alone.
+        """Fit by least squares of the simulated displacement: linear in f and g, nonlinear only in the rate.
 
         The rate is searched from 25 starts over two decades; f and g are constrained so that y follows v. Parameters
         are those of every model, see `training`, and `degree`: degree of f; g has one less. `slope_floor`
@@ -125,7 +125,7 @@ class Duhem(AbstractBaseline):
 
 
 def _branches(rate: float, f: Array, g: Array) -> tuple[Array, Array]:
-    """Return the polynomials to which a rise and a fall tend: a P + P' = a f + g and a P - P' = a f - g."""
+    """Return the limits of a rising and of a falling branch: a P + P' = a f + g and a P - P' = a f - g."""
     size = max(f.size, g.size)
     both = []
     for sign in (1.0, -1.0):
@@ -139,10 +139,10 @@ def _branches(rate: float, f: Array, g: Array) -> tuple[Array, Array]:
 
 
 def _major_loop(rate: float, rise: Array, fall: Array) -> tuple[Array, Array]:
-    """Return the closed loop's displacement, rising and falling, at `_PLACES`; linear in the polynomials."""
+    """Return the displacement of both branches of the closed loop at `_PLACES`; linear in the polynomials."""
     up, down = polyval(_PLACES, rise), polyval(_PLACES, fall)
     decay = np.exp(-rate)
-    # Each turning point is the end of the branch that begins at the other one.
+    # Each turning point is the end of the branch that begins at the other turning point.
     over, under = up[-1] - decay * up[0], down[0] - decay * down[-1]
     bottom = (under + decay * over) / (1 - decay**2)
     top = over + decay * bottom
@@ -150,7 +150,7 @@ def _major_loop(rate: float, rise: Array, fall: Array) -> tuple[Array, Array]:
 
 
 def _slopes(rate: float, f: Array, g: Array) -> Array:
-    """Return the least slopes dy/dt within the major loop, just after a turn from the other branch; linear in f, g."""
+    """Return the least slopes dy/dt within the major loop, just after a turn on the other branch; linear in f, g."""
     lower, upper = _major_loop(rate, *_branches(rate, f, g))
     middle, share = polyval(_PLACES, f), polyval(_PLACES, g)
     return np.concatenate([share + rate * (middle - upper), share - rate * (middle - lower)])
@@ -160,7 +160,7 @@ def _solve(training: Training, rate: float, degree: int, slope_floor: float) -> 
     """Return the coefficients of f and g for a rate, and the RMS residual in parts of the stroke."""
     low, high = training.limits
     numbers = np.array([low, high - low, rate, 0.0, 0.0])
-    # The constant of f is that of the record.
+    # The constant of f is the constant of the record.
     units = [np.split(unit, [degree + 1]) for unit in np.eye(2 * degree + 1)[1:]]
 
     def column(f: Array, g: Array) -> Array:
@@ -202,7 +202,7 @@ def _least_squares(columns: Array, target: Array, sides: Array, least: float) ->
 
 
 def _search_rate(training: Training, degree: int, slope_floor: float) -> float:
-    """Return the rate of least residual: by a scan, then by Brent's method around its best."""
+    """Return the rate with the least residual, by a scan, and then by Brent's method around its best place."""
     from scipy.optimize import minimize_scalar
 
     def cost(log_rate: float) -> float:

@@ -1,4 +1,4 @@
-"""Goldfarb and Celanovic's identification: Maxwell-slip elements and a linear spring from the relaxed first rise.
+"""Goldfarb and Celanovic's identification: Maxwell-slip elements and a linear spring from a relaxed first rise.
 
 M. Goldfarb, N. Celanovic, "Modeling piezoelectric stack actuators for control of micromanipulation", IEEE Control
 Systems Magazine 17(3), 1997, 69-79, and "A lumped parameter electromechanical model for describing the nonlinear
@@ -27,7 +27,7 @@ from dehyst.trust import AbstractBaseline
 @final
 @dataclass(frozen=True, eq=False)
 class GoldfarbCelanovic(AbstractBaseline):
-    """A relaxed actuator with a linear spring; its loops follow from its first rise alone (Masing's rule).
+    """A relaxed actuator with a linear spring; all its loops follow from its first rise (Masing's rule).
 
     `actuator`: starts relaxed at the displacement and voltage at which the rise began. `remarks`: sentences on the fit.
     """
@@ -84,7 +84,7 @@ class GoldfarbCelanovic(AbstractBaseline):
         if slopes[-1] <= 0:
             raise IdentifyError(
                 f"record '{record.name}': the voltage does not rise beyond {rho[-1] * 1e6:.4g} um, so that no "
-                "stiffness is left for the spring. Leave out what follows the peak, or use fewer elements"
+                "stiffness is left for the spring. Leave out the samples after the peak, or use fewer elements"
             )
         slip = MaxwellSlip(rho, slopes[:-1] - slopes[1:])
         spring = Spring.of_slopes(rest + np.array([0.0, height]), slopes[-1:], float(volts[0]))
@@ -100,20 +100,20 @@ def _first_rise(record: Record) -> tuple[Branch, float, float]:
         raise IdentifyError(
             f"record '{record.name}': its voltage does not rise first but goes from {v[0]:.4g} to {v[-1]:.4g} V; "
             "need a first rise of a relaxed actuator. Cut the record where such a rise begins, or use dehyst.identify, "
-            "which needs none"
+            "which does not need it"
         )
     rest = float(y[: np.argmax(v > v[0])].mean())
     height = float(y[-1]) - rest
     if height <= 0:
         raise IdentifyError(
             f"record '{record.name}': the displacement goes from {rest * 1e6:.4g} to {y[-1] * 1e6:.4g} um while the "
-            "voltage rises; need one that rises too. Check the sensor's sign"
+            "voltage rises; need a displacement that rises too. Check the sensor's sign"
         )
     return (y, v), rest, height
 
 
 def _break_points(elements: int, breakaway: ArrayLike | None, height: float, name: str) -> Array:
-    """Return the elongations given, or those that divide the rise into N + 1 equal parts, the last the spring's."""
+    """Return the given elongations, or those that divide the rise into N + 1 equal parts, the last for the spring."""
     if breakaway is None:
         count(elements, "elements", most=None)
         return np.asarray(height / (elements + 1) * np.arange(1, elements + 1), dtype=np.float64)
@@ -125,7 +125,7 @@ def _break_points(elements: int, breakaway: ArrayLike | None, height: float, nam
     if rho[-1] >= height:
         raise IdentifyError(
             f"breakaway: the last is {rho[-1] * 1e6:.4g} um, but the first rise of '{name}' is {height * 1e6:.4g} um "
-            "high; need a smaller one, because the slope beyond it is the spring's. Give smaller ones or record a "
+            "high; need a smaller one, because the slope beyond it is the spring's. Give smaller ones, or record a "
             "higher rise"
         )
     return rho
@@ -136,7 +136,7 @@ def _non_increasing(slopes: Array, widths: Array) -> tuple[Array, tuple[str, ...
     from scipy.optimize import isotonic_regression
 
     pooled = np.asarray(isotonic_regression(slopes, weights=widths, increasing=False).x, dtype=np.float64)
-    # Ignore what rounding alone makes negative.
+    # Ignore slopes that only rounding makes negative.
     slight = 1e-9 * float(np.abs(slopes).max())
     steps = slopes[:-1] - slopes[1:]
     negative = steps < -slight
@@ -150,7 +150,7 @@ def _non_increasing(slopes: Array, widths: Array) -> tuple[Array, tuple[str, ...
     also = f"; so was that of neighbouring {listed(neighbours)}" if neighbours.any() else ""
     part = 100 * float(-steps.min() / np.average(slopes, weights=widths))
     return pooled, (
-        f"The first rise is not concave: the stiffness of {listed(negative)} came out negative, by at most "
+        f"The first rise is not concave: the stiffness of {listed(negative)} would be negative, by at most "
         f"{part:.3g} % of the mean slope, and was set to 0{also}. Small negative stiffnesses come from noise, large "
-        "ones from residual strain or a curved spring: then the loop is not that of this model.",
+        "ones from residual strain or a curved spring: then this model does not describe the loop.",
     )

@@ -1,4 +1,4 @@
-"""dehyst's straight line, fitted as the models here are: with a delay, a constant and a drift of each record."""
+"""dehyst's straight line, fitted like the models here: with a delay, and a constant and a drift of each record."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dehyst_rivals.training import Training, fit_with_delay
 def linear_ratio(records: Record | Sequence[Record], *, delay: float | None = None) -> Linear:
     """Take the slope from the end points of the widest loop, and fit the offset by least squares.
 
-    `delay` [s]: lag of the displacement; default: estimated. Raise as the fit of every model here.
+    `delay` [s]: lag of the displacement; default: estimated. It raises the errors of every fit here.
     """
 
     def fit_model(training: Training) -> tuple[Linear, float]:

@@ -1,4 +1,4 @@
-"""Superpositions of plays: Prandtl-Ishlinskii, its modified and generalized forms, and Krasnosel'skii-Pokrovskii."""
+"""Sums of plays: Prandtl-Ishlinskii, its modified and generalized forms, and Krasnosel'skii-Pokrovskii."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from dehyst_rivals.plays import EMPTY, PlayBank, PlayState
 from dehyst_rivals.training import PlayRows, Training, fit_nonnegative, fit_with_delay, ramps
 
 _QUARTERS = 4
-# Least share of a decay that constants and the other decays do not explain already.
+# Least part of a decay that must not be explained by constants and other decays.
 _NEW = 1e-6
-# Passes of the alternating fit; one that makes the residual smaller by less than this part is the last one.
+# Most passes of the alternating fit; it ends when a pass lowers the residual by less than this part.
 _PASSES, _SETTLED = 30, 1e-4
-# Low-passes fitted to anything but creep do harm elsewhere: their cross-validation error must be this much smaller.
+# Low-passes that are not fitted to creep do harm: they must lower the cross-validation error to this part.
 _GAIN = 0.8
 
 
 @dataclass(frozen=True, eq=False)
 class AbstractPlayModel(AbstractBaseline):
-    """A bank of play operators behind the common interface.
+    """A bank of play operators with the common interface of models.
 
     `bank`: its operators. `state`: default start of a motion, after a long descent to the lowest voltage of its
     records.
@@ -185,7 +185,7 @@ class _AlternatingFit:
         self._low, self._reach, self._spacing = low, high - low - 2 * thresholds, (high - low) / segments
         self.places: Array = np.asarray(low + self._spacing * np.arange(segments + 1), dtype=np.float64)
         moved = rows.plays - low - thresholds
-        # A play that stands still adds a constant to x: each epoch with such a play gets an unknown.
+        # A play that does not move adds a constant to x: each epoch with such a play gets an unknown.
         self._z, self._still = moved * rows.known, moved * ~rows.known
         self._stretches = self._training.offsets[:, self._training.offsets.T @ np.any(~rows.known, axis=1) > 0]
         self._floors = np.full(thresholds.size + segments, floor * self._training.slope)
@@ -235,13 +235,13 @@ class _AlternatingFit:
         return rest - self._training.nuisances @ nuisances, nuisances
 
     def _gauss_newton_step(self, at: _Unknowns) -> _Unknowns:
-        """Return the unknowns that are best for S linearised at the present ones."""
+        """Return the best unknowns for S linearised at the present unknowns."""
         x, columns = self._map(at)
         slope = at.slopes[np.clip(((x - self._low) / self._spacing).astype(int), 0, at.slopes.size - 1)]
         of_weights, of_shifts = self._z * slope[:, None], self._stretches * slope[:, None]
         target = self._training.displacement + of_weights @ at.weights + of_shifts @ at.shifts
         nuisance = np.concatenate([self._training.nuisances, of_shifts], axis=1)
-        # In units of their mean, slopes are as large as weights.
+        # In units of their mean, slopes are of the size of weights.
         units = np.concatenate([np.ones(at.weights.size), np.full(at.slopes.size, at.slopes.mean())])
         both = np.concatenate([of_weights, columns], axis=1)
         solution = fit_nonnegative(both * units, nuisance, target, self._floors / units).weights * units
@@ -301,7 +301,7 @@ class GeneralizedPrandtlIshlinskii(AbstractPlayModel):
 
 @dataclass(frozen=True, eq=False)
 class _Design:
-    """Columns of slopes and low-passes, their floors and their smoothing."""
+    """The columns of slopes and low-passes, with their floors and their smoothing."""
 
     rows: PlayRows
     knots: list[Array]
@@ -349,7 +349,7 @@ class _Design:
 
 def _default_times(training: Training) -> Array:
     shortest = 2 * max(piece.sample_time for piece in training.pieces)
-    # A low-pass as slow as a record acts as a drift and shifts the axis.
+    # A low-pass as slow as a record acts like a drift and shifts the axis.
     longest = max(max(float(np.ptp(piece.time)) for piece in training.pieces) / 3, shortest)
     return np.geomspace(shortest, longest, max(2, round(2 * np.log10(longest / shortest)) + 1))
 
@@ -365,7 +365,7 @@ def low_pass(piece: Record, times: Array) -> Array:
 def with_unknown_start(training: Training, times: Array) -> Training:
     """Return a copy for a model with low-passes of time constants (K,) [s], which replace the drifts.
 
-    Their outputs before the first sample are not known, so their decay in each piece is a nuisance.
+    Their outputs before the first sample are not known: therefore their decay in each piece is a nuisance column.
     """
     constants = training.offsets / np.linalg.norm(training.offsets, axis=0)
 
@@ -374,7 +374,7 @@ def with_unknown_start(training: Training, times: Array) -> Training:
         return np.hstack([since if other is piece else np.zeros_like(since) for other in training.pieces])
 
     found = training.sampled(decays)
-    # Slow decays look like constants: keep only what is new, on an orthogonal basis.
+    # Slow decays look like constants: keep only the part that is new, in an orthogonal basis.
     basis, sizes, _ = np.linalg.svd(found - constants @ (constants.T @ found), full_matrices=False)
     new = basis[:, sizes > _NEW * sizes.max(initial=0.0)] * np.sqrt(len(training))
     return replace(training, nuisances=np.hstack([training.offsets, new]))
@@ -425,7 +425,7 @@ class KrasnoselskiiPokrovskii(AbstractPlayModel):
             # On each diagonal p2 - p1 = i a ramps begin at (p1 + p2) / 2.
             spacing = (high - low) / levels
             knots = [np.asarray(low + spacing * (np.arange(levels - i + 1) + 0.5 * i)) for i in range(levels)]
-            # Every segment between knots is a kernel; the parts below the first and beyond the last are not.
+            # Every segment between knots is a kernel; the parts below the first and beyond the last knot are not.
             kernels = [[False, *[True] * (levels - i), False] for i in range(levels)]
             columns = rows.ramps(knots)[:, np.concatenate(kernels)]
             floors = np.zeros(columns.shape[1])
@@ -441,7 +441,7 @@ class KrasnoselskiiPokrovskii(AbstractPlayModel):
 
 
 def differences(shape: Sequence[int], steps: Sequence[tuple[int, int]] = ((0, 1), (1, 0))) -> Array:
-    """Return rows (m, p) that subtract neighbours in a table whose row i has shape[i] places; row 0 is left out.
+    """Return rows (m, p) of differences of neighbours in a table whose row i has shape[i] places, without row 0.
 
     `steps`: (rows, places) from a place to its neighbours.
     """

@@ -1,4 +1,4 @@
-"""Superpositions of plays with curves and low-passes, used by several baselines."""
+"""Sums of plays with curves and low-passes, for several models."""
 
 from __future__ import annotations
 
@@ -79,14 +79,14 @@ class PlayBank:
         if np.any(self.thresholds < 0) or any(np.any(np.diff(k) <= 0) for k in self.knots):
             raise ModelError("plays: need thresholds of 0 or more, and increasing knots")
         if any(np.any(s < 0) for s in self.slopes) or np.any(self.shares < 0):
-            raise ModelError("plays: got a negative slope or share; more voltage must not be less displacement")
+            raise ModelError("plays: got a negative slope or share; a rising voltage must not lower the displacement")
         if self.times.size != self.shares.size or np.any(self.times <= 0):
-            raise ModelError("low-passes: need a time above 0 and a share for each")
+            raise ModelError("low-passes: need a time above 0 and a share for each low-pass")
 
     @cached_property
     def _core(self) -> compiled.Plays:
         """The compiled plays: equations and names are in `core/plays.h`."""
-        # A straight line is a curve of one knot, the same on both sides.
+        # A straight line is a curve with one knot and the same slope on both sides.
         knots = [k if k.size else np.zeros(1) for k in self.knots]
         slopes = [s if s.size > 1 else np.repeat(s, 2) for s in self.slopes]
         first = np.cumsum([0, *(k.size for k in knots)]).astype(np.intc)
@@ -130,8 +130,8 @@ class PlayBank:
     def compensate(self, y: Array, state: PlayState, time: ArrayLike | None = None) -> tuple[Array, PlayState]:
         """Return the voltage (n,) [V] for a displacement (n,) [m], and the state at its end; exact.
 
-        A closed form is used if there is one and the state can result from a history: neighbouring outputs then differ
-        by no more than their thresholds.
+        A closed form is used if there is one, and if the state can result from a history: then neighbouring outputs
+        differ by no more than their thresholds.
         """
         at, steps = self._timed(state, time, y.size)
         apart = np.diff(self.thresholds) + 1e-9 * self.thresholds.max(initial=0.0)
@@ -164,7 +164,7 @@ class PlayBank:
             return state.time, EMPTY
         if time is None:
             raise ModelError(
-                "this model creeps: it needs the time of each sample", hint="give the time [s]", change=("time",)
+                "this model creeps: it needs the time of each sample", hint="give the times [s]", change=("time",)
             )
         return _time_steps(state, vector(time, "time"), samples)
 
@@ -176,7 +176,7 @@ def _time_steps(state: PlayState, time: Array, samples: int) -> tuple[float, Arr
     gaps = np.diff(time)
     if np.any(gaps <= 0):
         raise ModelError(f"time: does not increase at sample {int(np.argmax(gaps <= 0)) + 1}; need seconds, in order")
-    # Even sampling stays even where rounding made the steps differ: the core caches the numbers of one step.
+    # Make steps equal that differ only by rounding: the core stores the numbers of one step.
     rounding = 4 * np.finfo(np.float64).eps * float(np.abs(time).max())
     usual = float(np.median(gaps)) if gaps.size else 0.0
     gaps = np.where(np.abs(gaps - usual) <= rounding, usual, gaps)

@@ -20,9 +20,9 @@ from dehyst_rivals.training import Training, fit_with_delay
 
 _MOST_ROWS = 8000
 _MOST_CELLS = 80
-# Part of the range within which an end of it counts as reached, and within which two curves count as one.
+# Distance, as a part of the range, at which an end of the range counts as reached and two curves count as one.
 _NEAR = 0.01
-# A curve driven more than this many times as fast as the slowest of the same turn does not count.
+# A curve is left out if it was recorded more than this many times as fast as the slowest one with the same turn.
 _SLOW = 2.0
 
 
@@ -76,7 +76,7 @@ class Preisach(AbstractBaseline):
                 "while the voltage rises; need a density that is nowhere negative and a reversible share"
             )
         keep(self, everett=table, bottom=number(self.bottom, "bottom"))
-        # Every relay down, at the lowest voltage.
+        # All relays are down, at the lowest voltage.
         keep(self, state=PreisachState(low, self.bottom, np.array([[low, self.bottom]])))
 
     @property
@@ -113,8 +113,8 @@ class Preisach(AbstractBaseline):
     ) -> Preisach:
         """Fit the density by non-negative least squares, from records of any shape.
 
-        Each sample is linear in the densities, once its nested reversals are known. Where the records do not determine
-        the density, a penalty on its second differences does. Parameters are those of every model, see
+        Each sample is linear in the densities if its nested reversals are known. A penalty on second differences
+        determines the densities that the records do not determine. Parameters are those of every model, see
         `training`, `cells`: cells n of a side of the plane, n (n + 1) / 2 densities, and `smoothing`: weight of
         the penalty, 0 for none. The relays on the diagonal provide the least slope.
         """
@@ -138,14 +138,14 @@ class Preisach(AbstractBaseline):
         slope_floor: float = 0.1,
         delay: float | None = None,
     ) -> Preisach:
-        """Compute the Everett function from first-order reversal curves, the classical way (Mayergoyz, Sec. 1.2).
+        """Compute the Everett function from first-order reversal curves by the classical method (Mayergoyz, Sec. 1.2).
 
         A branch that falls from a top, which was reached from the lowest voltage, gives E(top, beta) down to its next
         turn. A branch that rises from a bottom, which was reached from the highest voltage, gives E(alpha, bottom).
-        Between curves E is interpolated without overshoot, then made to increase away from the diagonal.
+        Between curves E is interpolated without overshoot, and is then made to increase away from the diagonal.
 
-        `records` hold the curves. `cells`, `slope_floor`, `delay` and errors are as in `fit`; `IdentifyError` is raised
-        also if there are fewer than three curves.
+        `records` hold the curves. `cells`, `slope_floor`, `delay` and errors are those of `fit`; fewer than three
+        curves also raise `IdentifyError`.
         """
         n = count(cells, "cells", 2, _MOST_CELLS)
         fraction(slope_floor, "slope_floor", 1e-6)
@@ -187,12 +187,12 @@ def _densities(training: Training, n: int, smoothing: float, least: float) -> tu
 
 
 def _columns(training: Training, n: int) -> Array:
-    """Return the switched-up share of each cell at each sample that counts (rows, n (n + 1) / 2), by rows of cells."""
+    """Return the part of each cell that is up at each fitted sample (rows, n (n + 1) / 2), by rows of cells."""
     low, high = training.limits
     parts = []
     for piece, rows in zip(training.pieces, training.kept, strict=True):
         nodes = compiled.preisach_weights(low, (high - low) / n, n, piece.voltage, rows).reshape(-1, n + 1, n + 1)
-        # A node's triangle holds every cell with alpha below and beta above it.
+        # The triangle of a node contains every cell with alpha below and beta above the node.
         held = np.cumsum(nodes[:, :0:-1], axis=1)[:, ::-1]
         parts.append(np.cumsum(held, axis=2)[:, :, :-1][:, *np.tril_indices(n)])
     return np.concatenate(parts)
@@ -213,7 +213,7 @@ def _second_differences(n: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Curve:
-    """A first-order reversal curve: the voltage at which it turned off the major loop, and E along it.
+    """A first-order reversal curve: the voltage at which it left the major loop, and E along it.
 
     Voltages increase; `rate` is their mean rate [V/s].
     """
@@ -224,7 +224,7 @@ class _Curve:
     rate: float
 
     def at(self, nodes: Array, near: float) -> Array:
-        """Return E at voltages; NaN at those farther than `near` [V] from the curve."""
+        """Return E at voltages; NaN at voltages farther than `near` [V] from the curve."""
         reached = (nodes >= self.voltage[0] - near) & (nodes <= self.voltage[-1] + near)
         return np.where(reached, np.interp(nodes, self.voltage, self.everett), np.nan)
 
@@ -246,10 +246,10 @@ def _everett_table(training: Training, n: int, least: float) -> Array:
         raise IdentifyError(
             f"got {len(falling)} falling and {len(rising)} rising first-order reversal curves, need at least three of "
             "one kind. Record descending tops or reversal curves (dehyst excite), or use non-negative least squares, "
-            "which takes records of any shape"
+            "which accepts records of any shape"
         )
     table = np.asarray(np.mean(tables, axis=0))
-    # Raise every node above the nodes within its triangle.
+    # Raise every node above all nodes inside its triangle.
     for i in range(1, n + 1):
         for j in range(i - 1, -1, -1):
             inner = max(table[i - 1, j] if i - 1 > j else 0.0, table[i, j + 1] if j + 1 < i else 0.0)
@@ -280,7 +280,7 @@ def _curves(piece: Record, first: int, low: float, high: float) -> Iterator[tupl
 def _merged(curves: list[_Curve], near: float) -> list[_Curve]:
     """Return one curve for each turning point, sorted; repeated curves are averaged as far as each extends.
 
-    If some curves were recorded much faster than others, only the slow ones count, because the model is
+    If some curves were recorded much faster than others, only the slow ones are used, because the model is
     rate-independent.
     """
     groups: list[list[_Curve]] = []

@@ -1,4 +1,4 @@
-"""Searches for a delay and for records that drift, by the residual of a fit."""
+"""Searches for a delay and for records with a drift, by the residual of a fit."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from dehyst._types import Array
 from dehyst.records import turning_points
 
-# A repair must lower the residual to this part, at the turns of loops of one height to the second; and by the third, as
-# a part of the stroke. A delay in samples counts from the fourth on; loops within the last part are of one height.
+# A repair must lower the residual to the first part (to the second at the turns of loops of one height), and by the
+# third part of the stroke. The fourth is the least delay in samples. Loops have one height within the last part.
 _GAIN, _AT_TURNS, _SMALLEST, _FOUND, _ONE_HEIGHT = 0.97, 0.5, 1e-5, 0.02, 0.9
 
 
@@ -49,7 +49,7 @@ def worthwhile(cost: Callable[[tuple[int, ...]], float], candidates: Sequence[in
 
 
 def _worth(after: float, before: float, stroke: float, share: float = _GAIN) -> bool:
-    """Whether a repair lowers the RMS residual enough."""
+    """Return whether a repair lowers the RMS residual enough."""
     return after < share * before and before - after > _SMALLEST * stroke
 
 
@@ -61,9 +61,9 @@ def _search(
     tolerance: float,
     worth: Callable[[float], bool] = lambda error: True,
 ) -> float:
-    """Global scan on `points` places, then Brent's method between the neighbours of the best.
+    """Scan `points` places, then search with Brent's method between the neighbours of the best.
 
-    It ends early where no place there can have a cost that is worth it.
+    The search ends early if no place there can have a low enough cost.
     """
     from scipy.optimize import minimize_scalar
 
@@ -73,7 +73,7 @@ def _search(
     near = slice(max(k - 1, 0), min(k + 1, points - 1) + 1)
     squares = {float(x): error**2 for x, error in zip(grid[near], errors[near], strict=True)}
 
-    # A residual is nearly the root of a parabola, which Brent's method finds in few steps.
+    # A squared residual is nearly a parabola, for which Brent's method needs few steps.
     def square(x: float) -> float:
         squares[x] = cost(x) ** 2
         if not worth(sqrt(max(_least_of_convex(squares), 0.0))):

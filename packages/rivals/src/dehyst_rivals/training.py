@@ -1,4 +1,4 @@
-"""Records prepared for a fit: the samples that count, constants and drifts, a delay, and plays along the voltage.
+"""Records prepared for a fit: the samples to fit, constants and drifts, a delay, and plays along the voltage.
 
 Every model's `fit` takes `records`, one Record or a sequence: loops, each with its own offset, which need not start
 relaxed. `delay` [s]: lag of the displacement behind the voltage; default: estimated. With `drift`, a drift of each
@@ -33,9 +33,9 @@ from dehyst_rivals import _rivals as compiled
 from dehyst_rivals.searches import searched_delay, worthwhile
 
 Model = TypeVar("Model")
-# Samples that count in a fit of plays, and in the search for a delay.
+# Numbers of samples in a fit of plays, and in the search for a delay.
 _MOST_ROWS, _SEARCH_ROWS = 30_000, 4000
-# Plays, and segments of each play's curve, of the model that estimates a delay.
+# Numbers of plays, and of segments of each play's curve, in the model that estimates a delay.
 _PLAYS, _SEGMENTS = 30, 4
 
 
@@ -93,7 +93,7 @@ class Training:
         return np.concatenate([run(piece)[rows] for piece, rows in zip(self.pieces, self.kept, strict=True)])
 
     def subsample(self, most: int) -> Training:
-        """Return a copy in which about `most` evenly spaced samples count; voltages stay whole."""
+        """Return a copy that fits about `most` evenly spaced samples; the voltages keep all samples."""
         step = max(1, len(self) // most)
         if step == 1:
             return self
@@ -165,13 +165,13 @@ def _estimated_delay(items: list[Prepared], able: Sequence[int], longest: float)
 
 
 def _play_residual(training: Training) -> float:
-    """RMS residual [m] of a fit of plays; like every baseline they map voltage to displacement."""
+    """Return the RMS residual [m] of a fit of plays from voltage to displacement."""
     rows = PlayRows.from_training(training, training.thresholds(_PLAYS), most=_SEARCH_ROWS)
     return rows.fit(rows.ramps(rows.knots(_SEGMENTS))).rms
 
 
 def _assemble(items: list[Prepared], lag: float, drifting: Sequence[int]) -> Training:
-    """Return the samples that count at this delay [s], with a drift of each of these records."""
+    """Return the samples to fit at this delay [s], with a drift of each of these records."""
     spans = [item.span() for item in items]
     widest = int(np.argmax([high - low for low, high in spans]))
     pieces, kept, reach, drifts, owner = [], [], [], [], []
@@ -239,7 +239,7 @@ class PlayRows:
         plays = few.sampled(
             lambda piece: compiled.play_outputs(thresholds, np.full(thresholds.size, piece.voltage[0]), piece.voltage)
         )
-        # The range of a sampled wave ends a rounding error short of its turns.
+        # The range of a sampled wave is too small by a rounding error.
         return cls(few, thresholds, plays, 2 * thresholds <= few.reach[:, None] * (1 + 1e-9))
 
     def knots(self, segments: int) -> list[Array]:
@@ -290,7 +290,7 @@ def fit_nonnegative(
     least = np.zeros(count) if floors is None else floors
     scale, y_scale = float(np.sqrt(np.mean(columns**2, axis=0)).max()), float(np.ptp(target))
     rest = (target - columns @ least) / y_scale
-    # The triangular factor below the nuisances' rows is the same problem without them.
+    # The triangular factor below the rows of the nuisances is the same problem without nuisances.
     r = np.asarray(np.linalg.qr(np.column_stack([nuisance, columns / scale, rest]), mode="r"))
     r = r[nuisance.shape[1] :, nuisance.shape[1] :]
     penalty = np.sqrt(smoothing * target.size) * (np.eye(count) if rough is None else rough)

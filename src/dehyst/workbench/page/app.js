@@ -1,4 +1,4 @@
-// Start of the page: its steps, and files that are dropped anywhere.
+// Starts the page: shows its steps, and accepts files that are dropped anywhere on it.
 import { byId } from "./dom.js";
 import { exportView } from "./exports.js";
 import { modelView } from "./models.js";

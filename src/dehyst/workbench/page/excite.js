@@ -1,4 +1,4 @@
-// The excitation to play before anything is recorded, as a file.
+// The file of the excitation to play and record.
 import { DECLARED } from "./declared.js";
 import { h } from "./dom.js";
 import { Figure, SECONDS, VOLTS } from "./figure.js";
@@ -15,7 +15,7 @@ async function write() {
   await server.excite({ low, high, slew: form.value("slew"), frequency: form.value("frequency") });
 }
 
-// In full while there is no record; later in a fold.
+// The card is open while there is no record; later it is a fold.
 export function exciteCard({ excitations, records }) {
   const last = excitations.at(-1);
   const content = [

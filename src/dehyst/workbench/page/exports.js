@@ -1,4 +1,4 @@
-// The fourth step: the model in other forms, all files of the folder, and the session as a script.
+// The fourth step: the exports of the model, all files of the folder, and the session as a script.
 import { DECLARED } from "./declared.js";
 import { byId, h, table } from "./dom.js";
 import { Form } from "./forms.js";
@@ -9,7 +9,7 @@ import { fileLink, jobCards, modelChoice } from "./verdict.js";
 
 const form = new Form("export", DECLARED.forms.export);
 const period = () => (form.value("rate") ? 1 / form.value("rate") : null);
-let suggested; // the model whose rate was filled in
+let suggested; // the model whose rate is in the form
 
 export function exportView({ files, log }, model) {
   const sorted = [...files].sort((a, b) => a.path.localeCompare(b.path));
@@ -26,7 +26,7 @@ export function exportView({ files, log }, model) {
 function exportsOf(model) {
   if (suggested !== model.id) form.values.rate = model.timed ? suggestedRate(model) : "";
   suggested = model.id;
-  // Coupled axes are exported as C alone.
+  // Coupled axes can be exported as C only.
   const kinds = Object.entries(DECLARED.exports).filter(([kind]) => kind === "c" || !model.coupling);
   const cards = kinds.map(([kind, [title, text]]) => {
     const about = { class: "main", "aria-label": `Export ${title}` };
@@ -46,7 +46,7 @@ function modelLinks({ file, report }) {
   const look = { class: "button main" };
   return [
     h("h3", "Model and report"),
-    h("p", "The model as JSON, for Python and the command line; the report as one page that needs no server."),
+    h("p", "The model is JSON, for Python and the command line. The report is one page that needs no server."),
     h("p.row", fileLink(file, "Model (JSON)", look), report && fileLink(report, "Report (HTML)", look)),
   ];
 }
@@ -55,7 +55,7 @@ function script(log) {
   const about = { id: "script", tabindex: "0", role: "region", "aria-label": "Commands of this session" };
   return h("section", { "aria-labelledby": "script-title" },
     h("h3#script-title", "Log as script"),
-    h("p.muted", "The commands that do the same in a terminal, in this order."),
+    h("p.muted", "These commands do the same in a terminal, in this order."),
     h("pre", about, log.join("\n") || "# nothing was done yet"),
   );
 }

@@ -1,4 +1,4 @@
-// The second step: the identification as it runs, its verdict, its pictures, and how far to trust it.
+// The second step: running identifications, then the verdict of the model, its pictures and its assessment.
 import { h } from "./dom.js";
 import { fold } from "./forms.js";
 import { duration, range } from "./numbers.js";
@@ -20,7 +20,7 @@ export function modelView({ models }, model) {
 }
 
 function body(model) {
-  // The present verdict alone is in sight.
+  // Only the present verdict is open: of the check, or of the identification.
   const old = isOld(model);
   const look = { class: "button", download: null, target: "_blank" };
   const origin = model.origin || `Identified in ${duration(model.seconds)}.`;
@@ -63,7 +63,7 @@ function runningCard(model) {
     h("progress", { "aria-label": `Identification of ${name}` }),
     h("p.progress-words", { role: "status" }, progress || "starting"),
     h("p.elapsed", `${duration(Math.round(seconds))} elapsed`),
-    h("p.muted", "A first model exists within seconds; the search for a better one takes minutes with long records."),
+    h("p.muted", "There is a first model within seconds; with long records the search for a better one takes minutes."),
     h("div.row", button("Finish with the best so far", place, end, quiet), button("Cancel", place, cancel, quiet)),
     problem(place),
   );

@@ -1,4 +1,4 @@
-// The third step: a wanted path, the voltage for it as it is drawn, and the file that the server writes.
+// The third step: a wanted path, its voltage (computed while the path is drawn), and the file that the server writes.
 import { DECLARED } from "./declared.js";
 import { Compensator, load } from "./dehyst.js";
 import { h } from "./dom.js";
@@ -15,7 +15,8 @@ import { fileLink, isOld, jobCards, lightOf, modelChoice } from "./verdict.js";
 const { button, chosenModel, complain, problem, redraw } = server;
 
 const SOURCES = { scan: "A scan", points: "Draw points", file: "A file" };
-// Branches this much faster than the records' are like them; a voltage turns where it goes back by this part of the range.
+// A path has a promise up to ALIKE times the speed of the records; a voltage turns if it goes back by BAND of the
+// range.
 const [ALIKE, BAND] = [1.5, 0.02];
 const view = { source: "scan", points: null, file: null, asked: 0, said: null, last: null };
 const scans = new ScanForm(replan);
@@ -81,7 +82,7 @@ function fileField() {
   );
 }
 
-// The points of a drawn path as text, a row a point.
+// The points of a drawn path as text, with one row for each point.
 function pointsField() {
   const typed = (event) => {
     try {
@@ -95,7 +96,7 @@ function pointsField() {
   return h("div.field", { key: "points" },
     h("label", { for: "points" }, "Points: time (s) and displacement (\u00b5m)"),
     h("textarea", { ...about, value, onchange: typed }),
-    h("small.hint", "Drag a point in the picture; a double click adds or removes one. Or type or paste here."),
+    h("small.hint", "Drag a point in the picture; a double click adds or removes one. Or type or paste points here."),
   );
 }
 
@@ -104,7 +105,7 @@ function typedPoints(text) {
   const points = rows.map((row) => row.split(/[\s;]/.test(row) ? /[\s;]+/ : ",").map(parsed));
   const fits = (point, k) => point.length === 2 && point.every(Number.isFinite) && !(point[0] <= points[k - 1]?.[0]);
   const wrong = points.findIndex((point, k) => !fits(point, k));
-  if (wrong >= 0) throw new Error(`Row ${wrong + 1}: got ${rows[wrong]}, need a time that rises and a displacement.`);
+  if (wrong >= 0) throw new Error(`Row ${wrong + 1}: got ${rows[wrong]}, need a later time, and a displacement.`);
   if (points.length < 2) throw new Error("Points: need two rows at least.");
   return points;
 }
@@ -114,16 +115,16 @@ function usePoints(points) {
   replan();
 }
 
-// Reachable ranges a second that a suggested path goes at most: half of the speed of the model's records, as hysteresis
-// makes a voltage steeper than its path.
+// The largest speed of a suggested path, in reachable ranges a second: half of the speed of the records, because
+// hysteresis makes a voltage steeper than its path.
 function pace({ range_v: [low, high], slew_v_per_s: slew }) {
   return slew ? (0.5 * slew) / (high - low) : Infinity;
 }
 
-// Suggested paths a second, one at most: the first quarter goes through 0.55 of the range.
+// The frequency of a suggested path, at most 1 Hz. Its first quarter moves by 0.55 of the range.
 const frequency = (axis) => roundDown(Math.min(1, pace(axis) / 2.2));
 
-// Ten thousand samples at most, so that a path is planned while its points are dragged.
+// A path has at most ten thousand samples: then it can be planned while its points are dragged.
 export const suggestedRate = (model) => plain(Math.min(1000, 10_000 * frequency(model)), 6);
 
 function firstPoints() {
@@ -132,7 +133,7 @@ function firstPoints() {
   return [0.2, 0.75, 0.35, 0.6, 0.2].map((share, k) => [(k / 4) * seconds, low + share * (high - low)]);
 }
 
-// Begin with suggestions for a model that was not chosen before.
+// Fill in suggestions when another model is chosen.
 function adopt(model) {
   if (view.model === model.id) return;
   Object.assign(view, { model: model.id, file: null });
@@ -148,7 +149,7 @@ function adopt(model) {
   replan();
 }
 
-// Plan again at the next frame: many changes at once are one.
+// Plan again at the next frame, once for many changes.
 function replan() {
   view.frame ??= requestAnimationFrame(() => {
     view.frame = undefined;
@@ -157,14 +158,14 @@ function replan() {
   redraw();
 }
 
-// The points of each axis: of a file, or drawn.
+// The points of each axis, from a file or drawn.
 function chosenPaths() {
   if (view.source === "points") return [view.points];
   if (!view.file) throw new Error("Choose a file first.");
   return view.file;
 }
 
-const modules = new Map(); // by model and period: compiled
+const modules = new Map(); // compiled, by model and period
 
 async function planNow(model) {
   const asked = (view.asked += 1);
@@ -198,7 +199,7 @@ async function planNow(model) {
   }
 }
 
-// Plan a path of several axes: only the path is drawn, because their voltages depend on one another.
+// Draw a path of several axes, without voltages, which depend on one another.
 function planAxes(model) {
   const names = namesOf(model);
   const paths = chosenPaths();
@@ -220,9 +221,9 @@ function planAxes(model) {
   };
 }
 
-// Without a plan there is no verdict either: that of the path before is not this one's.
+// Show no verdict without a plan: the last verdict is that of another path.
 function cannotPlan(why) {
-  const before = view.last ? " The pictures show the path before." : "";
+  const before = view.last ? " The pictures show the last path." : "";
   view.said = { light: "amber", first: `This path has no voltage yet: the message below its options says why.${before}`, facts: [] };
   complain("path", why);
   redraw();
@@ -239,13 +240,12 @@ function described({ slew_v_per_s: recorded, verdict: known }, { planned, band, 
   return { ...judged(planned, { ...known, band, why, light, speed }), remarks: known.remarks };
 }
 
-// Limits, slew rate and sample rate as they are typed.
 function choices() {
   const { low, high } = form.values;
   return { limits: limitsFrom(low, high), slew: form.value("slew"), rate: form.value("rate") };
 }
 
-// The path as the server takes it.
+// The path as a request to the server.
 function currentRequest() {
   const model = chosenModel();
   if (model.coupling) {
@@ -257,11 +257,11 @@ function currentRequest() {
   return { ...path, ...others, slew: slew ?? "none" };
 }
 
-// An error of the request is one of the button.
+// An async function: an error in the request is shown like an error of the server.
 const write = async () =>
   server.workOn(chosenModel().id, "follow", currentRequest(), "The voltage is being computed.");
 
-// The voltages that were written, with their downloads, and the jobs that write one.
+// The written voltages with their downloads, and the jobs that write a voltage.
 function voltages(state) {
   const jobs = server.openJobs("compensate");
   if (!state.voltages.length && !jobs.length) return null;

@@ -1,4 +1,4 @@
-// The form that reads a file again with other options: columns, units, scales, sample rate, and coupled axes.
+// The form to read a file again with other columns, units, scales, sample rate, or coupled axes.
 import { DECLARED } from "./declared.js";
 import { h } from "./dom.js";
 import { Form, fold } from "./forms.js";
@@ -6,9 +6,9 @@ import { range } from "./numbers.js";
 import { button, problem, readRecord, redraw } from "./server.js";
 
 const OTHERS = ["voltage_scale", "displacement_scale", "rate", "decimal"];
-const forms = new Map(); // by record, with what they were made from
+const forms = new Map(); // by record, each with the contents that it was made from
 
-// A form for one record, with its options and those that the server suggests.
+// The form of a record, filled with its options and with the suggestions of the server.
 export function readingForm(record) {
   const { id, name, file_columns: columns, form: given } = record;
   const stamp = JSON.stringify([given, columns]);
@@ -39,7 +39,7 @@ function filled({ id, file_columns: columns, form: { values, pairs } }) {
   const fields = Object.entries(DECLARED.forms.reading);
   const own = Object.fromEntries(fields.map(([name, field]) => [name, field.column ? { ...field, choices } : field]));
   const form = new Form(`reading-${id}`, own, (name) => {
-    // Columns of coupled axes are those that may belong together.
+    // Fill in the columns that may belong to each axis.
     if (name === "axes") for (const [field, column] of Object.entries(pairs)) form.values[field] ||= column;
     redraw();
   });

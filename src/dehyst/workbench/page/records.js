@@ -1,4 +1,4 @@
-// The first step: records are dropped, understood, looked at, and given a role in the identification.
+// The first step: the user drops records, checks how they were read, looks at them, and gives each a role.
 import { DECLARED } from "./declared.js";
 import { byId, h } from "./dom.js";
 import { exciteCard } from "./excite.js";
@@ -10,12 +10,12 @@ import * as server from "./server.js";
 import { isOpen, openStep } from "./steps.js";
 
 const { announce, button, problem, readyRecords, redraw, session } = server;
-// Elements that are on the page already.
+// These elements are in index.html.
 const [drop, file, example] = ["drop", "file", "example"].map(byId);
 
-const roles = new Map(); // of a record on this page: "train", "validate" or "none"
-let uploads = 0; // files that are being sent
-// A record that arrives when there is a model waits until the person says what it is for.
+const roles = new Map(); // chosen role of each record: "train", "validate" or "none"
+let uploads = 0; // number of files that are being sent
+// If there is a model, a new record has no role until the user chooses one.
 const isOpenQuestion = ({ id }) =>
   !roles.has(id) && session.state.models.length > 0 &&
   !session.state.models.some((model) => [...model.train, ...model.validate].includes(id));
@@ -24,7 +24,7 @@ const colourOf = (id, axis = 0) =>
   COLOURS[(Math.max(0, session.state.records.findIndex((record) => record.id === id)) + axis) % COLOURS.length];
 
 export function recordsView({ records }) {
-  // Records that need help come first, the newest on top.
+  // Records that need help are first in the list, the newest of them on top.
   const open = records.filter((record) => record.status !== "ready").reverse();
   const first = open.find((record) => record.status === "refused" && record.file_columns?.length)?.id;
   const cards = [...open, ...readyRecords()].map((record) => recordCard(record, record.id === first));
@@ -45,7 +45,7 @@ export function recordsView({ records }) {
 
 export function sendAll(files) {
   openStep("records");
-  // A file that is refused comes first in the list.
+  // A refused file is first in the list.
   window.scrollTo({ top: 0, behavior: "instant" });
   server.complain("upload", "");
   for (const file of files) send(file);
@@ -55,7 +55,7 @@ file.onchange = () => {
   sendAll(file.files);
   file.value = "";
 };
-// One may be chosen before this script is loaded.
+// The user may choose a file before this script is loaded.
 setTimeout(() => file.files.length > 0 && file.onchange());
 example.onclick = () =>
   server.example("virtual-loops.csv").then((made) => sendAll([made]), (error) => server.complain("upload", error.message));
@@ -87,7 +87,7 @@ function recordCard(record, first) {
 
 const readingCard = ({ name }) => [h("p.muted", "Reading\u2026"), h("progress", { "aria-label": `Reading ${name}` })];
 
-// The form of the newest is open; without columns there is nothing to say but to try again.
+// The form of the newest record is open. Without columns there is no form, only a button to try again.
 function refusedCard(record, first) {
   const { error, file_columns: columns, id } = record;
   const again = () => server.readRecord(id, { columns: record.columns });
@@ -138,7 +138,6 @@ function checkButton({ id, name }) {
   return button("Check the model", `records ${id}`, check, { class: "quiet", "aria-label": `Check the model by ${name}` });
 }
 
-// The form that starts an identification.
 const form = new Form("identify", DECLARED.forms.identify);
 
 const withRole = (role) => readyRecords().filter((record) => roleOf(record) === role);
@@ -168,7 +167,6 @@ async function start() {
   byId("main").focus({ preventScroll: true });
 }
 
-// How each view takes its axes from the columns of a record.
 const VIEWS = {
   loops: { x: VOLTS, y: MICROMETRES, columns: ["voltage", "displacement"] },
   time: { x: SECONDS, y: MICROMETRES, columns: ["time", "displacement"] },
@@ -181,7 +179,7 @@ class RecordFigure extends Figure {
     super({ title: "What was measured", views, choose: () => this.draw(this.records), tall: true });
   }
 
-  // Draw these records, if they are not drawn already and someone can see them.
+  // Draw these records, unless they are drawn already or the step is not open.
   async draw(records) {
     this.records = records;
     const version = (record) => `${record.columns} ${record.samples}`;

@@ -1,19 +1,19 @@
-// The form of the named scans: the options that the library declares, and those of how often and where it is played.
+// The form of the named scans, with the options that the library declares.
 import { DECLARED } from "./declared.js";
 import { h } from "./dom.js";
 import { Form, fold } from "./forms.js";
 import { plain, roundDown } from "./numbers.js";
 
-const FASTEST = 2.11; // widths a cycle: the largest speed of a triangle or a raster
-const SUGGESTED = [0.2, 0.8]; // of the reachable range
-const STEEPEST = 0.5 * 1.875; // widths of a change of level, times its duration
+const FASTEST = 2.11; // largest speed of a triangle or a raster, in its widths a cycle
+const SUGGESTED = [0.2, 0.8]; // lowest and highest displacement, as parts of the reachable range
+const STEEPEST = 0.5 * 1.875; // largest speed of a change of level, in widths of the scan per duration of the change
 
 export class ScanForm extends Form {
   constructor(changed) {
     super("scan", DECLARED.forms.scan, changed);
   }
 
-  // Fill in displacements that the model reaches, and speeds of at most `pace` reachable ranges a second.
+  // Suggest displacements that the model reaches, and speeds of at most `pace` reachable ranges a second.
   suggest([low, high], pace) {
     const place = (share) => plain(low + share * (high - low), 3);
     const [from, to] = SUGGESTED;
@@ -33,7 +33,7 @@ export class ScanForm extends Form {
     return [this.field("kind"), h("div.scan-options", this.row(needs), more)];
   }
 
-  // The options as the server takes them; an Error says which is wrong.
+  // The options for the server; an Error names an option that is wrong.
   scan() {
     const { needs, may } = DECLARED.scans[this.values.kind];
     return this.collected(["kind", ...needs, ...may], needs);

@@ -1,4 +1,4 @@
-// The server of this page: requests, the state as last heard, and buttons that act, with what went wrong.
+// Requests to the server of this page, the last state that it sent, and buttons with their errors.
 import { byId, h } from "./dom.js";
 
 async function request(path, options) {
@@ -17,10 +17,10 @@ const json = (body) => ({ method: "POST", headers: TYPE, body: JSON.stringify(bo
 const post = async (path, body = {}) => (await request(path, json(body))).json();
 
 export const excite = (body) => post("/api/excitations", body);
-// With { columns }, or the values of its { form }.
+// The body is { columns }, or { form } with the values of the form.
 export const readRecord = (id, body) => post(`/api/records/${id}/read`, body);
 export const identify = (body) => post("/api/models", body);
-// "end" of its identification, or a job on it, which is announced: "insight", "check", "update", "follow", "export".
+// Starts a job with a model ("insight", "check", "update", "follow", "export"), or ends its identification ("end").
 export const workOn = (id, what, body, words = "") =>
   post(`/api/models/${id}/${what}`, body).then(() => announce(words));
 export const cancelJob = (id) => post(`/api/jobs/${id}/end`);
@@ -30,17 +30,16 @@ export const fileAddress = (path) => `/files/${path.split("/").map(encodeURIComp
 export const textOfFile = async (path) => (await request(fileAddress(path))).text();
 export const example = async (name) => new File([await getBuffer(`/page/${name}`)], name);
 
-// The points (s, um) of each axis of a model in a table of any kind that records may have.
+// The points (s, um) of each axis of a model, from a file of any format of records.
 export async function readPath({ id }, file) {
   const path = `/api/models/${id}/points?name=${encodeURIComponent(file.name)}`;
   return (await (await request(path, { method: "PUT", body: file })).json()).points;
 }
 
-// Send a file as it is.
 export const upload = (file) =>
   request(`/api/records?name=${encodeURIComponent(file.name)}`, { method: "PUT", body: file });
 
-// The promise of `create`, made once for a key; the last few are kept, and none that failed.
+// The result of `create`, a Promise that is made once for a key. The last ones are kept, but not those that failed.
 export function remembered(kept, key, create, most = 12) {
   const found = kept.get(key) ?? create();
   kept.delete(key);
@@ -50,7 +49,7 @@ export function remembered(kept, key, create, most = 12) {
   return found;
 }
 
-// Columns of equal length, little-endian 32-bit floats, by path and version.
+// Columns by path and version. They have equal length, and are sent as little-endian 32-bit floats.
 const columns = new Map();
 
 function getColumns(path, names, version = "") {
@@ -67,12 +66,12 @@ export const recordColumns = ({ id }, version, axis) =>
 export const scanColumns = (scan) =>
   getColumns(`/api/scan?of=${encodeURIComponent(JSON.stringify(scan))}`, ["time", "wanted"]);
 
-// The state that the server holds, as this page last heard it. Views watch it.
+// The last state that the server sent. Views watch it.
 const NOTHING = { excitations: [], records: [], models: [], voltages: [], jobs: [], files: [], log: [] };
 export const session = { state: NOTHING, connected: false };
 const watchers = [];
 
-// Call `watcher` with each state that may have to be drawn anew.
+// Call `watcher` with the state whenever it may have changed.
 export const watch = (watcher) => watchers.push(watcher);
 
 function tell() {
@@ -85,7 +84,7 @@ function tell() {
   }
 }
 
-// Draw anew soon: what this page alone knows has changed.
+// Draw again soon, after a change of values that only this page has.
 let asked;
 export function redraw() {
   asked ??= setTimeout(() => {
@@ -124,13 +123,13 @@ export const recordOf = (id) => among(session.state.records, id);
 export const modelOf = (id) => among(session.state.models, id);
 export const readyModels = () => session.state.models.filter((model) => model.status === "ready");
 export const readyRecords = () => session.state.records.filter((record) => record.status === "ready");
-// The jobs of a kind that are to be shown: those that run, and the last one if it failed.
+// The jobs of a kind that are shown: running jobs, and the last one if it failed.
 export function openJobs(kind, subject) {
   const all = session.state.jobs.filter((job) => job.kind === kind && (!subject || job.subject === subject));
   return all.filter((job, k) => job.status === "running" || (job.status === "failed" && k === all.length - 1));
 }
 
-// The model that the person looks at: the newest unless another is chosen. A reload keeps it.
+// The model on the page: the newest, unless the user chose another. A reload of the page keeps the choice.
 const CHOSEN = "dehyst-model";
 export const chosenModel = () =>
   among(readyModels(), sessionStorage.getItem(CHOSEN)) ?? readyModels().at(-1) ?? null;
@@ -140,7 +139,7 @@ export function chooseModel(id) {
   redraw();
 }
 
-// Errors by the place where they are shown, and the buttons whose work goes on.
+// Errors by the place where they are shown, and buttons whose work is running.
 const problems = new Map();
 const busy = new Set();
 
@@ -153,7 +152,7 @@ export function complain(place, sentence) {
   redraw();
 }
 
-// A button that works: it is disabled meanwhile, and an error is shown in full in its place.
+// A button is disabled while its work runs; an error is shown at `place`.
 export function button(text, place, work, properties = {}) {
   const key = `${place} ${text}`;
   const onclick = async () => {
@@ -171,14 +170,14 @@ export function button(text, place, work, properties = {}) {
   return h("button", { type: "button", disabled: busy.has(key), onclick, ...properties }, text);
 }
 
-// Takes a record or a model ("records", "models") from the list; an error stands in the place `KIND ID`.
+// A button that removes an entry from the list of a kind, such as "records"; its error is shown at `KIND ID`.
 export const removeButton = (kind, { id, name }) =>
   button("Remove", `${kind} ${id}`, () => request(`/api/${kind}/${id}`, { method: "DELETE" }), {
     class: "quiet",
     "aria-label": `Remove ${name} from the list`,
   });
 
-// Text for the screen reader alone.
+// Text for screen readers only.
 export function announce(text) {
   byId("announcer").textContent = text;
 }

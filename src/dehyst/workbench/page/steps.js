@@ -1,14 +1,14 @@
-// The steps from a record to an export, as tabs that show how far each is, and the one that is open.
+// The steps from a record to an export, as tabs with the state of each step. One step is open.
 import { byId, fill, h } from "./dom.js";
 import { percent } from "./numbers.js";
 import { chosenModel, readyRecords, session, watch } from "./server.js";
 import { isOld } from "./verdict.js";
 
 const counted = ({ length }, noun) => `${length} ${noun}${length === 1 ? "" : "s"}`;
-// The state of a step: done with these words, or not begun.
+// The state of a step: done, with `words`, or not begun, with the text `before`.
 const reached = (words, before) => (words ? { text: words, mark: "done" } : { text: before });
 const pathState = ({ voltages }) => reached(voltages.length > 0 && counted(voltages, "voltage"), "no voltage yet");
-// Title and state of each step, and what it says while there is no model that it needs; a mark colours its number.
+// Title and state of each step, and its text while the model that it needs is missing. A mark colours the number.
 const STEPS = {
   records: ["Records", recordsState],
   model: ["Model", modelState],
@@ -19,7 +19,8 @@ const IDS = Object.keys(STEPS);
 let pages = {};
 let open = null;
 
-// `views` returns what each step shows, by its name, from the state and the chosen model; only the open one is drawn.
+// `views` has a function for each step, which returns its content from the state and the chosen model. Only the open
+// step is drawn.
 export function buildSteps(views) {
   pages = views;
   byId("steps").onkeydown = byKeys;
@@ -33,7 +34,7 @@ export const isOpen = (id) => open === id;
 export function openStep(wanted, { focus = false } = {}) {
   const before = open;
   open = IDS.includes(wanted) ? wanted : "records";
-  // Back leads to the step before; the page's own first entry is no step.
+  // "Back" in the browser opens the last step. The first entry of the history is replaced: it is no step.
   const known = IDS.includes(location.hash.slice(1));
   if (location.hash !== `#${open}`) history[known ? "pushState" : "replaceState"](null, "", `#${open}`);
   refresh(session.state);
@@ -54,7 +55,6 @@ function refresh(state) {
 export const goTo = (step, text, look = "main") =>
   h("button", { type: "button", class: look, onclick: () => openStep(step, { focus: true }) }, text);
 
-// The content of a step that needs a model, while there is none.
 export const needsModel = (words) => h("div.empty", h("p", words), goTo("records", "To the records"));
 
 function tab(id, k, state) {
@@ -88,6 +88,6 @@ function recordsState({ records }) {
 function modelState({ models }) {
   if (models.some((model) => model.status === "identifying")) return { text: "identifying\u2026", mark: "busy" };
   const model = chosenModel();
-  if (model && isOld(model)) return { text: "not true any more", mark: "bad" };
+  if (model && isOld(model)) return { text: "no longer true", mark: "bad" };
   return reached(model && `${percent(model.verdict.largest_percent)} largest error`, "none yet");
 }

@@ -1,4 +1,4 @@
-// How far to trust a model: the assessment of its records, and whether it is still true.
+// How far to trust a model: the assessment by its training records, and the check by a new record.
 import { DECLARED } from "./declared.js";
 import { h } from "./dom.js";
 import { Form, card, fold, list } from "./forms.js";
@@ -6,14 +6,13 @@ import { button, chooseModel, openJobs, problem, readyRecords, workOn } from "./
 import { goTo } from "./steps.js";
 import { jobCards, mounted } from "./verdict.js";
 
-// The assessment of a model by its records.
 export function assessment({ id, insight }) {
   const jobs = openJobs("insight", id);
   const assess = () => workOn(id, "insight", {}, "The assessment has begun.");
   if (insight) {
-    return [problem(insight.report), h("h2", "What the records leave open"), h("div#insight", mounted(insight.report))];
+    return [problem(insight.report), h("h2", "What the records do not determine"), h("div#insight", mounted(insight.report))];
   }
-  return card("What do the records leave open?", { id: "assess", key: "assess" },
+  return card("What do the records not determine?", { id: "assess", key: "assess" },
     h("p", "The assessment shows which loops no record tests, and what to record next. It takes seconds to minutes."),
     !jobs.some(runs) && button("Assess the model", "assess", assess, { class: "main" }),
     h("ul.cards", jobCards(jobs)),
@@ -25,7 +24,7 @@ const runs = ({ status }) => status === "running";
 
 const checking = new Form("check", DECLARED.forms.check);
 
-// The check of a model by a record that it was not identified from, and its update by that record.
+// The check of a model by a record other than its training records, and the update from that record.
 export function checkCard(model) {
   const { check } = model;
   const records = readyRecords().filter((record) => !model.train.includes(record.id));

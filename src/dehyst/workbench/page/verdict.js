@@ -1,4 +1,4 @@
-// The expectation of a model: a number and a colour, then the reasons. And the model that all steps speak of.
+// The verdict of a model (its promise as number and colour, then the reasons), and the choice of the model.
 import { h, table } from "./dom.js";
 import { fold, list, options } from "./forms.js";
 import { length, percent, range } from "./numbers.js";
@@ -14,10 +14,9 @@ const LIGHTS = {
 };
 export const lightOf = ({ readiness }) => LIGHTS[readiness] ?? ["amber", readiness];
 
-// True if the last check found that the model is not true any more.
+// True if the last check found that the model no longer holds.
 export const isOld = ({ check }) => Boolean(check && !check.good);
 
-// The cells of a verdict in a table, and their heads.
 const VERDICT_HEADS = [{ text: "Verdict", class: "text" }, "Largest error", "Largest error", "RMS error"];
 function verdictCells(verdict) {
   const [colour, words] = lightOf(verdict);
@@ -38,7 +37,7 @@ export function verdictBlock({ verdict }) {
   );
 }
 
-// The expectation of each of several axes, and how far the voltage of each moves the others.
+// The verdict of each of several axes, and their coupling.
 export function axesBlock({ axes, coupling }) {
   if (!coupling) return null;
   const { matrix, verdicts } = coupling;
@@ -54,7 +53,7 @@ export function axesBlock({ axes, coupling }) {
   );
 }
 
-// A choice of the model that all steps speak of, if there is more than one.
+// A choice of the model for all steps, if there are several models.
 export function modelChoice() {
   const models = readyModels();
   if (models.length < 2) return null;
@@ -64,8 +63,7 @@ export function modelChoice() {
   return h("p.row.model-row", h("span", "Model "), select);
 }
 
-// The sections of a report that is a file of the folder, as soon as they are there; an error is shown in the place that
-// is called like the file.
+// The sections of a report in the folder, once they are loaded. An error is shown at the place `path`.
 const reports = new Map();
 export function mounted(path) {
   if (!reports.has(path)) {
@@ -79,7 +77,7 @@ export function mounted(path) {
 export const fileLink = (path, text, attributes = {}) =>
   h("a", { href: server.fileAddress(path), download: path.split("/").at(-1), ...attributes }, text);
 
-// Running and failed jobs, with the way to end them.
+// Cards of running and failed jobs, with a button to cancel.
 export const jobCards = (jobs) =>
   jobs.map(({ id, status, error, progress }) => {
     const alert = h("p.error", { role: "alert" }, error ?? "It failed.");
