@@ -54,7 +54,7 @@ MANY = [("plain", 4000), at_night("plain", 10**6)]
 
 @pytest.mark.parametrize(("kind", "compiler"), spanning(("plain", "slewing", "all", "moving"), ("gcc", "clang")))
 @pytest.mark.parametrize("samples", [4000, at_night(10**5)])
-def test_random_samples_are_pythons_to_the_bit(tmp_path, kind, samples, compiler):
+def test_random_samples_have_the_bits_of_python(tmp_path, kind, samples, compiler):
     if compiler == "clang" and shutil.which("clang") is None:
         pytest.skip("clang is not installed")
     need("gcc")
@@ -71,7 +71,7 @@ def test_random_samples_are_pythons_to_the_bit(tmp_path, kind, samples, compiler
 
 
 @pytest.mark.parametrize(("kind", "samples"), [*MANY, *SOME])
-def test_an_emulated_cortex_m4_answers_pythons_bits(tmp_path, kind, samples):
+def test_an_emulated_cortex_m4_has_the_bits_of_python(tmp_path, kind, samples):
     need("arm-none-eabi-gcc", "qemu-system-arm")
     compensator = KINDS[kind]()
     got = compiled_exports.emulated(written(tmp_path / "c", compensator), compensator, samples, every=samples // 100)
@@ -79,7 +79,7 @@ def test_an_emulated_cortex_m4_answers_pythons_bits(tmp_path, kind, samples):
 
 
 @pytest.mark.parametrize(("kind", "samples"), [*MANY, *SOME])
-def test_floats_by_its_unit_are_those_of_this_computer(tmp_path, kind, samples):
+def test_floats_on_a_cortex_m4_are_those_of_this_computer(tmp_path, kind, samples):
     need("gcc", "arm-none-eabi-gcc", "qemu-system-arm")
     compensator = KINDS[kind]()
     folder = written(tmp_path / "c", compensator, "float")
@@ -89,7 +89,7 @@ def test_floats_by_its_unit_are_those_of_this_computer(tmp_path, kind, samples):
 
 
 @pytest.mark.parametrize(("kind", "number"), spanning([*KINDS], ["double", "float"]))
-def test_what_was_exported_replays_what_python_did(tmp_path, kind, number):
+def test_an_export_replays_the_trace_of_python(tmp_path, kind, number):
     need("gcc", "make")
     status, said = make(export(KINDS[kind](), tmp_path / "c", number), "check", "symbols")
     assert status == 0, said
@@ -133,7 +133,7 @@ def test_the_trace_has_every_kind_of_call():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_actuator_of_the_trace_is_the_virtual_one(kind):
+def test_the_trace_simulates_the_actuator(kind):
     compensator = KINDS[kind]()
     rows = [row for row in golden_trace(compensator).rows if row.what is Call.SIMULATE]
     actuator, state = compensator.actuator, compensator.state
@@ -144,7 +144,7 @@ def test_the_actuator_of_the_trace_is_the_virtual_one(kind):
     np.testing.assert_allclose(got, motion.displacement[1:], rtol=0, atol=1e-12 * plain_records.STROKE)
 
 
-def test_the_core_is_the_text_of_its_sources_and_the_number_type_one_line():
+def test_an_export_has_the_text_of_the_core_and_one_line_for_the_number_type():
     compensator = compiled_exports.plain()
     double, single = code(compensator), code(compensator, "float")
     assert set(double) == set(single) == {"piezo.c", "piezo.h", *CORE, CONFIG}
@@ -164,7 +164,7 @@ def test_the_core_is_the_text_of_its_sources_and_the_number_type_one_line():
         assert unused not in double["piezo.c"]
 
 
-def test_floats_on_a_microcontroller_need_no_double_and_nothing_from_outside(tmp_path):
+def test_floats_on_a_microcontroller_need_no_double_and_no_library(tmp_path):
     need("arm-none-eabi-gcc")
     folder = written(tmp_path / "c", KINDS["moving"](), "float")
     strict = [*STRICT, "-ffreestanding", "-Wdouble-promotion", "-Wfloat-conversion", "-Wshadow", "-Wvla"]
@@ -178,7 +178,7 @@ def test_floats_on_a_microcontroller_need_no_double_and_nothing_from_outside(tmp
 
 
 @pytest.mark.parametrize("flag", ["-Ofast", "-ffast-math", "-ffinite-math-only"])
-def test_flags_that_would_let_a_nan_become_a_voltage_are_refused(tmp_path, flag):
+def test_compiler_flags_that_break_the_check_for_nan_are_refused(tmp_path, flag):
     need("gcc")
     folder = written(tmp_path / "c", compiled_exports.plain())
     command = ["gcc", *STRICT, "-O2", "-c", "dehyst.c"]
@@ -188,7 +188,7 @@ def test_flags_that_would_let_a_nan_become_a_voltage_are_refused(tmp_path, flag)
     assert "a NaN is not refused" in done.stderr
 
 
-def test_a_failed_export_leaves_nothing(tmp_path, monkeypatch):
+def test_a_failed_export_leaves_no_file(tmp_path, monkeypatch):
     def fail(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -199,7 +199,7 @@ def test_a_failed_export_leaves_nothing(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("given", [None, 3, "model.json"])
-def test_what_is_no_compensator_or_no_path_is_refused(tmp_path, given):
+def test_other_objects_than_a_compensator_and_a_path_are_refused(tmp_path, given):
     for write in (export, lambda number, _: code(number)):
         with pytest.raises(ModelError, match="Compensator"):
             write(given, tmp_path / "c")
@@ -218,7 +218,7 @@ def test_what_is_no_compensator_or_no_path_is_refused(tmp_path, given):
         *["7x", "a-b", "ü", "_x", "dehyst_x", "Dehyst", "double", "class", "loop", "trace", "stdio", "Check", "main"],
     ],
 )
-def test_names_that_mean_something_else_are_refused(tmp_path, name):
+def test_names_with_a_meaning_in_c_are_refused(tmp_path, name):
     with pytest.raises(ModelError, match=r"^name: got "):
         export(compiled_exports.plain(), tmp_path / "c", name=name)
     assert list(tmp_path.iterdir()) == []
@@ -263,14 +263,14 @@ def creeping(**options):
         Compensator(plain_records.plant(3), (100, 100 + 1e-9)),
     ],
 )
-def test_models_that_floats_cannot_hold_are_refused(compensator):
+def test_models_that_cannot_be_rounded_to_floats_are_refused(compensator):
     assert "piezo_rho" in code(compensator)["piezo.c"]
     with pytest.raises(ModelError):
         code(compensator, "float")
 
 
 @pytest.mark.parametrize(("given", "number"), [(creeping(), "double"), (creeping(period=1e-3), "half")])
-def test_creep_without_a_period_and_other_numbers_are_refused(given, number):
+def test_creep_without_a_period_and_unknown_number_types_are_refused(given, number):
     with pytest.raises(ModelError):
         code(given, number)
 
@@ -299,7 +299,7 @@ def test_sanitizers_find_nothing(tmp_path, kind, number):
 
 
 @pytest.mark.parametrize(("standard", "number"), spanning(["c++98", "c++11", "c++17"], ["double", "float"]))
-def test_any_cpp_takes_the_headers_and_reads_the_same_numbers(tmp_path, standard, number):
+def test_cpp_compiles_the_headers_and_reads_the_same_numbers(tmp_path, standard, number):
     need("g++")
     compensator = Compensator(plain_records.plant(3), (-20.7, 1e3 / 3), 1234.567, period=1e-4 / 3)
     folder = written(tmp_path / "c", compensator, number)
@@ -319,7 +319,7 @@ def test_any_cpp_takes_the_headers_and_reads_the_same_numbers(tmp_path, standard
         np.testing.assert_allclose(told, expected, rtol=2**-23)
 
 
-def test_for_another_processor_as_the_makefile_says(tmp_path):
+def test_the_example_for_another_processor_in_the_makefile_works(tmp_path):
     need("make", "arm-none-eabi-gcc")
     folder = export(compiled_exports.plain(), tmp_path / "c")
     example = re.search(r"^#   make (clean all symbols .*)$", (folder / "Makefile").read_text(), re.MULTILINE)[1]
@@ -329,7 +329,7 @@ def test_for_another_processor_as_the_makefile_says(tmp_path):
 
 
 @pytest.mark.parametrize("rising", [True, False])
-def test_the_way_to_where_memory_begins_leads_there(rising):
+def test_the_described_way_to_the_start_reaches_the_exported_state(rising):
     """Two ways: the words followed on the virtual actuator, and the state that was exported."""
     actuator = plain_records.plant(10, seed=4)
     low, high = (
@@ -354,7 +354,7 @@ def adversary(compensator, steps=200):
 
 
 @pytest.mark.parametrize("kind", ["plain", at_night("graded"), at_night("creep")])
-def test_a_step_takes_bounded_time(tmp_path, kind):
+def test_the_instructions_of_a_step_are_bounded(tmp_path, kind):
     """No step gets longer by those before it, and clamped steps over the whole range are among the longest."""
     need("arm-none-eabi-gcc", "qemu-system-arm")
     compensator = KINDS[kind]()

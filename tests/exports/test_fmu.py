@@ -45,7 +45,7 @@ FMICallException = fmpy.fmi1.FMICallException
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_the_compensator_is_pythons_bit_for_bit(fmus, model):
+def test_the_compensator_has_the_bits_of_python(fmus, model):
     v, clamps = voltages(ALL[model], PATH)
     assert clamps.limited > 5
     with Slave(fmus(model, "compensator")[1]) as slave:
@@ -54,7 +54,7 @@ def test_the_compensator_is_pythons_bit_for_bit(fmus, model):
 
 
 @pytest.mark.parametrize("model", ["timeless", "creep", "mass", *map(at_night, ["plain", "preview"])])
-def test_the_actuator_is_pythons(fmus, model):
+def test_the_actuator_moves_as_in_python(fmus, model):
     volts = actuator_voltages(model)
     with Slave(fmus(model, "actuator")[1]) as slave:
         y = slave.run(volts)
@@ -62,7 +62,7 @@ def test_the_actuator_is_pythons(fmus, model):
     assert np.ptp(y) > 0.5 * plain_records.STROKE
 
 
-def test_gain_and_offset_are_pythons(fmus):
+def test_gain_and_offset_are_those_of_python(fmus):
     loop, (before, after) = ALL["plain"]._clone(), np.split(PATH[:400], 2)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", dehyst.ClampWarning)
@@ -88,7 +88,7 @@ def test_gain_and_offset_are_pythons(fmus):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_before_the_first_step_it_rests_in_the_start_state(fmus, kind):
+def test_before_the_first_step_it_is_in_the_start_state(fmus, kind):
     fresh = ALL["mass"]._clone()
     start = fresh.displacement, fresh.voltage
     assert fresh.limits[0] <= start[1] <= fresh.limits[1]
@@ -102,7 +102,7 @@ def test_before_the_first_step_it_rests_in_the_start_state(fmus, kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_step_of_many_periods_is_as_many_steps(fmus, kind):
+def test_a_step_of_many_periods_equals_many_steps(fmus, kind):
     _, folder = fmus("creep", kind)
     given = PATH[:40] if kind == "compensator" else actuator_voltages("creep")[:40]
     with Slave(folder) as first, Slave(folder) as other:
@@ -110,7 +110,7 @@ def test_a_step_of_many_periods_is_as_many_steps(fmus, kind):
         np.testing.assert_array_equal([other.step(value, 3 * PERIOD) for value in given], expected)
 
 
-def test_any_step_is_one_sample_without_time(fmus):
+def test_without_a_period_any_step_is_one_sample(fmus):
     v, _ = voltages(ALL["timeless"], PATH[:50])
     steps = np.random.default_rng(3).uniform(1e-6, 10, 50)
     with Slave(fmus("timeless", "compensator")[1]) as slave:
@@ -128,7 +128,7 @@ PLACES = (PERIOD, -PERIOD, 1e-7 * PERIOD, 1e3, np.nan, np.inf)
         *((model, off, PERIOD) for model in ("creep", "timeless") for off in PLACES),
     ],
 )
-def test_another_step_or_one_from_elsewhere_is_refused_and_moves_nothing(fmus, model, off, by):
+def test_a_step_of_another_length_or_from_another_time_is_refused_and_changes_nothing(fmus, model, off, by):
     with Slave(fmus(model, "compensator")[1]) as slave:
         slave.run(PATH[:20])
         before = slave.state()
@@ -140,7 +140,7 @@ def test_another_step_or_one_from_elsewhere_is_refused_and_moves_nothing(fmus, m
         slave.step()
 
 
-def test_steps_between_rounded_times_are_steps(fmus):
+def test_steps_between_rounded_times_are_accepted(fmus):
     """As an importer takes them: differences of times far from zero."""
     with Slave(fmus("creep", "compensator")[1], begin=False) as slave:
         slave.begin(1e5)
@@ -152,7 +152,7 @@ def test_steps_between_rounded_times_are_steps(fmus):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_no_number_is_refused_and_moves_nothing(fmus, kind, value):
+def test_an_input_that_is_no_number_is_refused_and_changes_nothing(fmus, kind, value):
     given = PATH[:30] if kind == "compensator" else actuator_voltages("mass")[:30]
     with Slave(fmus("mass", kind)[1]) as initial, Slave(fmus("mass", kind)[1]) as other:
         first = initial.run(given)
@@ -166,7 +166,7 @@ def test_what_is_no_number_is_refused_and_moves_nothing(fmus, kind, value):
 
 
 @pytest.mark.parametrize(("model", "kind"), spanning(MODELS, KINDS))
-def test_a_state_is_gone_back_to_bit_for_bit(fmus, model, kind):
+def test_a_state_is_restored_bit_for_bit(fmus, model, kind):
     _, folder = fmus(model, kind)
     given = PATH if kind == "compensator" else actuator_voltages(model)
     with Slave(folder) as first, Slave(folder) as other:
@@ -254,7 +254,7 @@ def test_a_damaged_state_is_refused(fmus, kind):
         assert slave.state() == data
 
 
-def test_the_voltage_tells_its_limits_and_keeps_to_them(fmus, tmp_path):
+def test_the_voltage_declares_and_keeps_its_limits(fmus, tmp_path):
     """Also before the first step, and where a state is held by a voltage outside them."""
     folder = fmus("creep", "compensator")[1]
     voltage = next(v for v in fmpy.read_model_description(folder).modelVariables if v.name == "voltage")
@@ -272,7 +272,7 @@ def test_the_voltage_tells_its_limits_and_keeps_to_them(fmus, tmp_path):
     assert all(variable.min is None and variable.max is None for variable in free)
 
 
-def test_the_actuator_knows_no_limits_of_the_compensator(tmp_path):
+def test_the_actuator_has_no_limits(tmp_path):
     actuator = ALL["plain"].actuator
     state = actuator.relaxed()
     export(replace(actuator, limits=(60, 61), state=state), tmp_path / "x.fmu")
@@ -282,7 +282,7 @@ def test_the_actuator_knows_no_limits_of_the_compensator(tmp_path):
         np.testing.assert_allclose(slave.run(volts), expected, rtol=0, atol=1e-12 * plain_records.STROKE)
 
 
-def test_what_is_not_allowed_is_refused(fmus):
+def test_calls_that_the_standard_forbids_are_refused(fmus):
     _, folder = fmus("plain", "compensator")
     with pytest.raises(Exception, match="instantiate"):
         Slave(folder, token="{another}")
@@ -302,13 +302,13 @@ def test_what_is_not_allowed_is_refused(fmus):
 
 
 @pytest.mark.parametrize(("model", "kind"), spanning(MODELS, KINDS))
-def test_validation_finds_nothing(fmus, model, kind):
+def test_the_validator_finds_no_fault(fmus, model, kind):
     path, _ = fmus(model, kind)
     assert validate_fmu(str(path)) == []
 
 
 @pytest.mark.nightly
-def test_built_from_its_own_sources_it_is_the_same(fmus, tmp_path, monkeypatch):
+def test_a_binary_built_from_the_sources_is_the_same(fmus, tmp_path, monkeypatch):
     """As an importer builds it: the files, language and definitions of its own description, no flags of ours."""
     from fmpy.build import build_platform_binary
 
@@ -338,7 +338,7 @@ def test_the_declarations_are_those_of_the_standard(fmus, tmp_path):
     assert all(name.startswith("fmi2") for name in seen)
 
 
-def test_no_memory_is_lost_or_overrun(fmus, tmp_path):
+def test_no_memory_is_leaked_or_overrun(fmus, tmp_path):
     """A life from instantiation to the end, under the sanitizers of the compiler."""
     _, folder = fmus("preview", "compensator")
     life = places.SUPPORT / "fmu_life.c"
@@ -355,7 +355,7 @@ def test_no_memory_is_lost_or_overrun(fmus, tmp_path):
     assert ran.stdout == "alike\n"
 
 
-def test_without_a_compiler_it_holds_sources(tmp_path, monkeypatch):
+def test_without_a_compiler_it_contains_sources(tmp_path, monkeypatch):
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setenv("PATH", str(tmp_path / "absent"))
     with pytest.warns(SourceOnlyWarning, match="compiler"):
@@ -384,7 +384,7 @@ TIMED = ALL["creep"].actuator
         (Compensator(replace(ALL["plain"].actuator, thermal=Thermal(0.004)), (0, 100)), "x.fmu", {}, ModelError),
     ],
 )
-def test_what_no_fmu_is_made_of_is_refused(tmp_path, given, name, options, error):
+def test_impossible_arguments_are_refused(tmp_path, given, name, options, error):
     with pytest.raises(error):
         export(given, tmp_path / name, **options)
     assert list(tmp_path.iterdir()) == []

@@ -119,7 +119,7 @@ def test_the_golden_trace_is_replayed_bit_for_bit(compensator, tmp_path):
     assert "no symbol is needed from outside" in words
 
 
-def test_the_golden_trace_clamps_no_axis_some_and_all(compensator):
+def test_the_golden_trace_clamps_none_some_and_all_of_the_axes(compensator):
     rows = [row for row in golden_trace(compensator).rows if row.what is Call.STEP]
     loop, patterns = compensator._clone(), set()
     for row in rows:

@@ -28,13 +28,13 @@ MOST = 26_200
 # The module
 
 
-def test_the_module_is_of_these_sources():
+def test_the_wasm_module_was_compiled_from_the_present_sources():
     building = runpy.run_path(str(BUILDER))
     assert building["recorded"](shipped_bytes("core.wasm")) == building["digest"](), "run make wasm, and commit"
     assert building["MODULE"].read_bytes() == shipped_bytes("core.wasm")
 
 
-def test_debians_compiler_makes_the_same_bytes(tmp_path):
+def test_the_compiler_of_debian_makes_the_same_bytes(tmp_path):
     if shutil.which("clang") is None or shutil.which("wasm-ld") is None:
         pytest.skip("clang or wasm-ld is not installed: the module cannot be built (Debian: clang lld)")
     version = subprocess.run(["clang", "--version"], capture_output=True, text=True, check=True).stdout
@@ -44,7 +44,7 @@ def test_debians_compiler_makes_the_same_bytes(tmp_path):
     assert (tmp_path / "core.wasm").read_bytes() == shipped_bytes("core.wasm")
 
 
-def test_it_is_small():
+def test_the_module_is_small():
     assert len(shipped_bytes("core.wasm")) < MOST
     assert all(len(wasm_module(KINDS[kind]())) < MOST for kind in KINDS)
 
@@ -80,7 +80,7 @@ console.log(limited, slewed, refused, kept.clamped.filter((code) => code === 1).
     ("kind", "samples"),
     [*((kind, 4000) for kind in KINDS), at_night("plain", 10**6)],
 )
-def test_random_steps_are_pythons_to_the_bit(tmp_path, kind, samples):
+def test_random_steps_have_the_bits_of_python(tmp_path, kind, samples):
     compensator = KINDS[kind]()
     folder = exported(tmp_path / kind, compensator)
     wanted = compiled_exports.wishes(compensator, samples)
@@ -119,7 +119,7 @@ for (const wrong of [() => compensator.scale(-1), () => compensator.feedback(2, 
 
 @pytest.mark.parametrize("kind", ["slewing", "creep", "moving"])
 @pytest.mark.filterwarnings("ignore::dehyst.control.SensorWarning")
-def test_feedback_is_pythons_to_the_bit(tmp_path, kind):
+def test_feedback_has_the_bits_of_python(tmp_path, kind):
     compensator = KINDS[kind]()
     folder = exported(tmp_path / kind, compensator)
     low, high = compensator.reach
@@ -142,7 +142,7 @@ console.log(present, steps, before, voltage[0], compensator.voltage);
 """
 
 
-def test_a_way_leads_to_a_path_within_the_slew_rate(tmp_path):
+def test_lead_moves_to_a_path_within_the_slew_rate(tmp_path):
     compensator = Compensator(KINDS["plain"]().actuator, (-10.0, 10.0), 50.0, period=1e-3)
     folder = exported(tmp_path, compensator)
     low, high = compensator.reach
@@ -152,7 +152,7 @@ def test_a_way_leads_to_a_path_within_the_slew_rate(tmp_path):
     assert abs(first - before) < 0.05 and before == after
 
 
-def test_limits_and_slew_rate_may_be_others(tmp_path):
+def test_options_replace_limits_and_slew_rate(tmp_path):
     compensator = compiled_exports.plain(period=1e-3)
     wanted = compiled_exports.wishes(compensator, 5000)
     options = "{ limits: [30, 90], slewRate: 1e4 }"
@@ -181,7 +181,7 @@ const refused = (what, work) => {
 """
 
 
-def test_wrong_numbers_and_options_are_refused_and_nothing_moves(tmp_path):
+def test_wrong_numbers_and_options_are_refused_and_change_nothing(tmp_path):
     folder = exported(tmp_path / "c", KINDS["creep"]())
     program = (
         REFUSED
@@ -268,7 +268,7 @@ def test_every_wrong_size_and_number_is_refused(tmp_path, kind):
 # The files
 
 
-def test_the_types_have_every_member():
+def test_the_declared_types_have_every_member():
     script, types = shipped("compensator.js"), shipped("compensator.d.ts")
     members = set(re.findall(r"^  (?:get )?([a-z]\w*)\(.*\) \{$", script, re.MULTILINE)) - {"constructor"}
     assert members >= {"step", "trajectory", "simulate", "clamps"}

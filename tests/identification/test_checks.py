@@ -28,7 +28,7 @@ def checks_of(pattern, noise=0.05, seed=0, role="training"):
     return {check.name: check for check in residual_checks(traces, STROKE)}
 
 
-def test_noise_alone_is_no_pattern():
+def test_checks_hold_with_noise_alone():
     failed = 0
     for seed in range(40):
         checks = checks_of(lambda *_: 0.0, noise=5.0, seed=seed)
@@ -60,7 +60,7 @@ def test_a_small_pattern_passes_whatever_the_noise():
     assert checks["Width"].value > checks["Width"].floor
 
 
-def test_a_drift_beyond_creep_is_given_in_all():
+def test_a_drift_too_large_for_creep_is_stated_as_a_whole():
     checks = checks_of(lambda place, side, time: 30 * np.log10(time.clip(0.01)))
     assert checks["No drift"].unit == "% of the stroke"
     assert checks["No drift"].value > 30
@@ -72,7 +72,7 @@ def test_residuals_of_validation_records_do_not_count():
 
 
 @pytest.mark.parametrize("turns", [(0, 1), (0, 1, 0)])
-def test_too_few_branches_determine_nothing(turns):
+def test_too_few_branches_leave_a_check_unknown(turns):
     place = plain_records.path(turns)
     trace = Trace("short", "training", np.arange(place.size) * 0.01, 12e6 * place, place, place)
     checks = {check.name: check for check in residual_checks([trace], STROKE)}
@@ -80,7 +80,7 @@ def test_too_few_branches_determine_nothing(turns):
     assert (checks["Width"].verdict is Verdict.UNKNOWN) == (turns == (0, 1))
 
 
-def test_a_wrong_model_shows_a_pattern_and_the_right_one_none():
+def test_only_a_wrong_model_fails_a_check():
     record = PLANT.record(noise=1e-9)
     right, poor = (
         identify(record, structure=made, delay=0.0)
@@ -109,28 +109,28 @@ def of(residual, voltage=VOLTAGE):
         (np.sin(2 * np.pi * 0.5 * TIME), "model"),
     ],
 )
-def test_a_residual_of_one_cause(residual, cause):
+def test_a_residual_is_assigned_to_its_cause(residual, cause):
     found = of(1e-8 * residual)
     shares = {name: getattr(found, name) for name in ("noise", "slow", "vibration", "model")}
     assert shares[cause] > 0.8
     assert sum(shares.values()) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_a_vibration_is_named_with_frequency_and_size():
+def test_the_frequency_and_size_of_a_vibration_are_stated():
     found = of(1e-8 * np.sin(2 * np.pi * 3.1 * TIME) + 2e-9 * RNG.normal(size=TIME.size))
     assert found.frequency == pytest.approx(3.1, abs=0.05)
     assert found.vibration_amplitude == pytest.approx(1e-8, rel=0.1)
 
 
-def test_harmonics_of_a_periodic_voltage_are_the_model_s():
+def test_harmonics_of_a_periodic_voltage_count_as_errors_of_the_model():
     for multiple in (2, 3, 5):
         assert of(1e-8 * np.sin(2 * np.pi * 0.5 * multiple * TIME)).model > 0.8
 
 
-def test_a_line_far_above_a_slow_voltage_is_a_vibration():
+def test_a_spectral_line_far_above_the_voltage_is_a_vibration():
     slow = 50 - 50 * np.cos(2 * np.pi * 0.2 * TIME)
     assert of(1e-8 * np.sin(2 * np.pi * 6.2 * TIME), slow).frequency == pytest.approx(6.2, abs=0.05)
 
 
-def test_nothing_left_has_no_cause():
+def test_a_zero_residual_has_no_cause():
     assert of(0 * TIME).rms == 0

@@ -37,7 +37,7 @@ def without(record, start, stop):
 
 
 @pytest.mark.parametrize("name", ["three loops", "few samples", *map(at_night, ["tops", "curves", "major"])])
-def test_nothing_is_repaired_on_clean_data(name):
+def test_clean_data_are_not_repaired(name):
     assert cleaning.transient(CLEAN[name]) == 0
     fit = dehyst.identify(CLEAN[name], structure=TEN)
     assert [said for said in fit.repairs if "samples a cycle" not in said] == []
@@ -54,7 +54,7 @@ def test_noise_and_a_steady_sine_have_no_transient(sigma):
 
 
 @pytest.mark.parametrize("length", [10, 30, 45])
-def test_a_start_up_transient_is_left_out_and_only_it(length):
+def test_only_a_start_up_transient_is_left_out(length):
     record = sine()
     y = record.displacement.copy()
     # Upwards: downwards from the upper branch would be into the loop, where nothing can tell.
@@ -65,7 +65,7 @@ def test_a_start_up_transient_is_left_out_and_only_it(length):
 @pytest.mark.parametrize(
     ("samples", "share", "allowed"), [(np.s_[:40], 0.1, 1e-6), (np.s_[1210:], 0.01, 0.01), (np.s_[1540:], -0.05, 0.01)]
 )
-def test_a_transient_or_a_zero_that_jumps_is_told_and_does_no_harm(samples, share, allowed):
+def test_a_transient_or_a_jump_of_the_zero_is_repaired_and_reported(samples, share, allowed):
     record = plain_records.loops(PLANT, (*plain_records.MAJOR, *plain_records.DESCENDING_TOPS))
     y = record.displacement.copy()
     y[samples] += share * plain_records.STROKE
@@ -83,7 +83,7 @@ def test_a_gap_that_may_hide_a_reversal_cuts_the_record(start, stop):
     assert len(fit.repairs) == 1
 
 
-def test_a_pause_between_two_repetitions_is_not_mentioned():
+def test_a_pause_between_two_repetitions_does_not_cut_the_record():
     cycle = plain_records.loops(PLANT, plain_records.MAJOR[:3])
     step = cycle.sample_time
     time = np.concatenate([cycle.time, cycle.time[-1] + 3 * step + cycle.time - cycle.time[0]])
@@ -93,7 +93,7 @@ def test_a_pause_between_two_repetitions_is_not_mentioned():
     assert ([len(piece) for piece in pieces], said) == ([len(twice)], [])
 
 
-def test_a_shifted_sensor_zero_that_is_denied_makes_the_stiffnesses_wrong():
+def test_shared_zero_with_a_shifted_sensor_gives_wrong_stiffnesses():
     three = plain_records.loops(PLANT, plain_records.THREE_LOOPS, name="three", zero=0.1 * plain_records.STROKE)
     fit = dehyst.identify([TOPS, three], structure=TEN, shared_zero=True)
     assert fit.errors[1].zero == 0
@@ -124,7 +124,7 @@ def creeping(part):
 
 
 @pytest.mark.parametrize("part", [at_night(0.01), -0.02])
-def test_a_drift_in_the_logarithm_of_time_is_set_aside(part):
+def test_a_logarithmic_drift_is_subtracted(part):
     (error,) = dehyst.identify(creeping(part), structure=TEN).errors
     assert error.drift == pytest.approx(part * plain_records.STROKE, rel=0.25)
     assert error.largest_percent < 0.5

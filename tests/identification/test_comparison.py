@@ -33,7 +33,7 @@ def missed(actuator, record, **changes):
 
 
 @pytest.mark.parametrize("name", wide.STRUCTURES)
-def test_an_actuator_meets_its_own_record(name):
+def test_an_actuator_simulates_its_own_record(name):
     plant = wide.plant(wide.STRUCTURES[name])
     error, trace = compared(plant.actuator, plant.record())
     # The carts and creep with which the record begins are fitted, smooth elements forget; afterwards all is known.
@@ -64,7 +64,7 @@ def test_smooth_elements_that_are_strained_at_the_start_are_found(closing, part)
 
 
 @pytest.mark.parametrize("name", ["smooth", "all"])
-def test_a_record_cut_after_its_start_goes_on_from_its_lead(name):
+def test_the_samples_before_a_piece_determine_its_start(name):
     plant = wide.plant(wide.STRUCTURES[name])
     record = plant.record()
     prepared = prepare(record[20:])
@@ -89,7 +89,7 @@ def swung(resonance=300.0, delay=0):
 
 
 @pytest.mark.parametrize("delay", [0, 2])
-def test_an_actuator_with_inertia_meets_its_own_record(delay):
+def test_an_actuator_with_inertia_simulates_its_own_record(delay):
     """Its motion at the first sample is read from the record: good to what derivatives at an end cost, for a while."""
     actuator, record = swung(delay=delay)
     actuator = replace(actuator, delay=1e-4 * delay)
@@ -126,7 +126,7 @@ def left_of(actuator, rest, state, offset):
 
 
 @pytest.mark.parametrize("name", ["plain", "graded", "smooth", "all"])
-def test_a_lead_tells_the_state_from_which_the_rest_follows(name):
+def test_the_state_after_half_a_record_predicts_the_other_half(name):
     """Half a record of a known actuator, its voltages shifted: the other half is simulated as it was measured."""
     plant = wide.plant(wide.STRUCTURES[name])
     record = plant.record()
@@ -140,7 +140,7 @@ def test_a_lead_tells_the_state_from_which_the_rest_follows(name):
 
 
 @pytest.mark.parametrize("name", ["plain", "graded", "smooth"])
-def test_a_record_follows_from_the_state_in_which_it_began(name):
+def test_the_state_at_the_beginning_predicts_the_record(name):
     """The second half of a record, whose first half brought the actuator into a state that no name describes."""
     plant = wide.plant(wide.STRUCTURES[name])
     record = plant.record()
@@ -150,7 +150,7 @@ def test_a_record_follows_from_the_state_in_which_it_began(name):
 
 
 @pytest.mark.parametrize("name", ["plain", "transformer"])
-def test_a_lead_without_a_cycle_tells_what_it_can(name):
+def test_a_record_of_less_than_a_cycle_gives_an_approximate_state(name):
     """The spring and the carts that were dragged along agree with the last voltage; the rest is as in the middle."""
     plant = wide.plant(wide.STRUCTURES[name])
     short = plant.record()[:30]
@@ -182,7 +182,7 @@ def test_a_block_keeps_the_motion_and_enough_samples(rate, least, most):
     assert block_of(replace(record, measured=np.arange(len(record)) % 9 == 0), len(record) / 4000) == 1
 
 
-def test_steps_have_no_bandwidth_below_their_sampling():
+def test_samples_of_steps_are_not_averaged():
     time = np.arange(20_000) * 1e-3
     steps = np.floor(time / 2) % 4
     assert block_of(Record(time, steps, 1e-6 * steps), 5) == 1
@@ -190,7 +190,7 @@ def test_steps_have_no_bandwidth_below_their_sampling():
 
 
 @pytest.mark.nightly
-def test_a_fast_recording_gives_the_model_of_a_slow_one():
+def test_a_higher_sample_rate_gives_the_same_model():
     unseen = recorded(12, 500, 40, 0.0)
     found = {}
     for rate in (200, 10_000):

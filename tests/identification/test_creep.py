@@ -75,14 +75,14 @@ def test_a_state_after_a_record_continues_it():
 
 
 @pytest.mark.nightly
-def test_without_holds_or_without_creep_nothing_is_chosen():
+def test_without_holds_or_without_creep_the_model_has_no_creep():
     tops, stairs = records(actuator(0.0))
     assert dehyst.identify([tops]).actuator.displacement_creep is None
     assert dehyst.identify([tops, stairs]).actuator.displacement_creep is None
 
 
 @pytest.mark.parametrize("block", [4, 5, 8])
-def test_means_of_samples_creep_from_where_the_record_began(block):
+def test_the_creep_of_averaged_samples_begins_with_the_record(block):
     """The rise before the samples that count belongs to the record of means too, whatever the block leaves over."""
     part = DisplacementCreep([0.5, 20.0], [0.02, 0.03])
     drive = Sampling(frequency=0.1, sample_rate=40.0, limits=(0.0, HIGHEST))
@@ -110,7 +110,7 @@ def with_holds(places, *, creep=0.0, drift=0.0, seed=33):
 
 
 @pytest.mark.parametrize("places", [(3, 15), at_night((5, 9)), at_night((12, 24))])
-def test_creep_is_found_wherever_the_voltage_rests_and_a_drift_of_the_sensor_is_not_creep(places):
+def test_creep_is_found_in_holds_and_is_distinguished_from_drift(places):
     for kind, options in {"creep": {"creep": 0.01}, "drift": {"drift": 0.01}}.items():
         frame = wide.frame([with_holds(places, **options)])
         assert len(frame.rests[0]) == 2

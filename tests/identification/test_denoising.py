@@ -36,7 +36,7 @@ def branches(record):
 
 @given(seed=SEEDS, noise=st.floats(0, 0.05), hold=st.sampled_from([0, 20]))
 @settings(max_examples=30)
-def test_the_path_goes_where_the_voltage_goes(seed, noise, hold):
+def test_the_path_moves_in_the_direction_of_the_voltage(seed, noise, hold):
     record, _ = made(seed, noise=noise * plain_records.STROKE, hold=hold)
     smoothed = monotone(record)
     np.testing.assert_array_equal(smoothed.voltage, record.voltage)
@@ -84,7 +84,7 @@ def test_jitter_falls_without_a_bias(samples, kept):
 
 
 @pytest.mark.parametrize(("samples", "width"), [(100, 7), (200, 13)])
-def test_of_loud_noise_a_turn_is_the_mean_of_what_both_branches_show(samples, width):
+def test_with_loud_noise_a_turn_is_the_mean_of_both_branches(samples, width):
     """The end of a parabola through w samples has 3 (3 w^2 - 3 w + 2) / (w (w + 1) (w + 2)) of their variance."""
     record, true = made(0, samples=samples)
     noise = 0.05 * plain_records.STROKE
@@ -98,7 +98,7 @@ def test_of_loud_noise_a_turn_is_the_mean_of_what_both_branches_show(samples, wi
     assert np.std(errors) == pytest.approx(noise * (kept / 2) ** 0.5, rel=0.05)
 
 
-def test_creep_in_a_hold_goes_one_way():
+def test_creep_in_a_hold_is_monotone():
     rng = np.random.default_rng(1)
     v = np.concatenate([np.linspace(0, 100, 50), np.full(200, 100.0), np.linspace(100, 0, 50), np.full(200, 0.0)])
     v = np.tile(v, 2)
@@ -115,7 +115,7 @@ def test_creep_in_a_hold_goes_one_way():
         assert errors[0] < 0.5 * errors[1]
 
 
-def test_smooth_elements_are_not_dragged_by_jitter():
+def test_jitter_does_not_change_the_elongations_of_smooth_elements():
     """Where a sample moves no farther than jitter does, jitter pulls Dahl's elements back at every other one."""
     plant = wide.plant(wide.STRUCTURES["smooth"], path=wide.wandering(12, samples=400))
     record = plant.record(noise=NOISE)
@@ -131,7 +131,7 @@ def test_smooth_elements_are_not_dragged_by_jitter():
     assert errors[1] < 0.2 * errors[0]
 
 
-def test_a_short_piece_and_one_without_turns_are_taken():
+def test_a_short_piece_without_turns_is_smoothed():
     rising = Record(np.arange(6) / 10, np.arange(6.0), np.array([0, 1, 3, 2, 4, 5]) * 1e-6)
     np.testing.assert_allclose(monotone(rising).displacement, np.array([0, 1, 2.5, 2.5, 4, 5]) * 1e-6)
     np.testing.assert_allclose(remove_jitter(rising, 1e-6, 5e-6).displacement, np.array([0, 1, 2.5, 2.5, 4, 5]) * 1e-6)

@@ -42,7 +42,7 @@ def error(record, truth=Y):
 
 
 @pytest.mark.parametrize("lines", [5, 15, 40])
-def test_events_stay_and_branches_are_monotone(lines):
+def test_filling_keeps_events_and_makes_branches_monotone(lines):
     record = events_of(Y, lines)
     found = filled(record)
     assert np.array_equal(found.displacement[record.measured], record.displacement[record.measured])
@@ -52,25 +52,25 @@ def test_events_stay_and_branches_are_monotone(lines):
 
 
 @pytest.mark.parametrize("voltage", [V, np.repeat(V[::10], 10)[: V.size]], ids=["even", "held"])
-def test_a_linear_stage_is_filled_exactly(voltage):
+def test_filling_is_exact_for_a_linear_stage(voltage):
     found = filled(events_of(1e-7 * voltage + 3e-6, 9, voltage=voltage))
     assert found.displacement == pytest.approx(1e-7 * voltage + 3e-6, abs=1e-6 * STROKE)
 
 
 @pytest.mark.parametrize(("lines", "most"), [(8, 0.015), (15, 0.008), (40, 0.005)])
-def test_a_fill_is_near_the_truth(lines, most):
+def test_a_filled_record_is_near_the_truth(lines, most):
     record = events_of(Y, lines)
     assert error(filled(record)) < most < 0.3 * error(record)
     assert error(filled(events_of(Y, lines, noise=1e-3))) < most + 0.004
 
 
-def test_a_fill_bears_noise_of_the_voltage():
+def test_filling_tolerates_noise_of_the_voltage():
     noisy = V + 0.2 * np.random.default_rng(2).standard_normal(V.size)
     assert error(filled(events_of(Y, 15, voltage=noisy))) < 0.015
 
 
 @pytest.mark.parametrize("few", [0, 1, 2, 3])
-def test_a_branch_of_few_events_follows_the_others(few):
+def test_a_branch_with_few_events_is_filled_like_other_branches(few):
     record = events_of(Y, 15)
     a, b = TURNS[7:9]
     own = np.flatnonzero(record.measured[a : b + 1]) + a
@@ -86,7 +86,7 @@ def test_four_events_are_enough():
     assert np.array_equal(found.displacement[known], Y[known])
 
 
-def test_a_refill_is_the_simulation_and_its_misfit():
+def test_refilling_adds_the_interpolated_error_to_the_simulation():
     record = filled(events_of(Y, 15))
     late = slice(100, 900)
     found = refilled(record, T[late], Y[late] + 1e-6)
@@ -104,7 +104,7 @@ def test_a_refill_is_the_simulation_and_its_misfit():
 
 
 @pytest.mark.parametrize(("shift", "calls"), [(0.0, 1), (0.1, 2)])
-def test_fits_go_on_until_little_moves(shift, calls):
+def test_fits_are_repeated_until_they_converge(shift, calls):
     seen = []
 
     def identify(records, held_out):
@@ -126,6 +126,6 @@ def test_fits_go_on_until_little_moves(shift, calls):
     assert seen[-1][0] is whole
 
 
-def test_set_aside_events_stay():
+def test_filling_keeps_the_times_that_are_left_out():
     record = replace(events_of(Y, 15), set_aside=((2.0, 3.0),))
     assert filled(record).set_aside == record.set_aside

@@ -46,19 +46,19 @@ def expected(*errors, checks=(), goal=1.0, outcome=Outcome.IDENTIFIED, caveats=(
     return expectation(outcome, errors, checks, validity, noise, goal, caveats)
 
 
-def test_small_errors_are_ready_and_large_ones_of_no_use():
+def test_the_verdict_depends_on_the_error():
     assert expected(ERRORS).readiness is Readiness.READY
     assert expected(replace(ERRORS, rms=6e-8, settled_rms=6e-8)).readiness is Readiness.USABLE
     assert expected(replace(ERRORS, rms=2e-7, settled_rms=2e-7)).readiness is Readiness.NOT_USABLE
     assert expected(replace(ERRORS, rms=6e-8, settled_rms=6e-8), goal=4.8).readiness is Readiness.READY
 
 
-def test_a_promise_is_no_less_than_what_the_records_show():
+def test_a_promise_is_at_least_the_error_on_the_records():
     assert expected(replace(ERRORS, settled_largest=3e-7)).largest == 3e-7
     assert expected(replace(ERRORS, settled_largest=3e-7), noise=1e-8).largest == pytest.approx(2.6e-7)
 
 
-def test_validation_records_are_what_counts():
+def test_errors_on_validation_records_replace_held_out_errors():
     other = replace(ERRORS, role="validation", rms=5e-8, settled_rms=5e-8)
     found = seen(ERRORS, other, held_out=HeldOutErrors(1.0))
     assert found.rms == 5e-8
@@ -73,7 +73,7 @@ def test_a_model_that_misses_its_training_records_is_not_usable():
     assert found.readiness is Readiness.NOT_USABLE and found.basis != "validation records"
 
 
-def test_held_out_parts_count_where_they_are_worse():
+def test_the_larger_of_held_out_and_record_error_is_used():
     assert seen(ERRORS, held_out=HeldOutErrors(9e-8)).rms == pytest.approx(9e-8)
     assert seen(ERRORS, held_out=HeldOutErrors(1e-9)).rms == ERRORS.rms
 
@@ -84,7 +84,7 @@ def test_fast_branches_count_as_much_as_slow_ones():
     assert along_the_way(made) == pytest.approx(1e-8 / 2**0.5, rel=0.01)
 
 
-def test_structures_that_disagree_widen_a_promise_where_the_records_did_not_turn():
+def test_disagreement_of_structures_widens_the_promise_at_new_turns():
     agreed, disagreed = (seen(ERRORS, held_out=HeldOutErrors(1e-8, apart)).anywhere for apart in (0.0, 3e-8))
     assert disagreed.largest > 1.2 * agreed.largest
     turns = [0, 100, *np.random.default_rng(0).uniform(0, 100, 60)]
@@ -92,7 +92,7 @@ def test_structures_that_disagree_widen_a_promise_where_the_records_did_not_turn
     assert seen(ERRORS, held_out=random, records=[record(*turns)]).anywhere.largest < disagreed.largest
 
 
-def test_what_the_sensor_adds_is_not_of_the_path():
+def test_noise_and_vibration_of_the_sensor_are_subtracted():
     loud = replace(ERRORS, rms=5e-8, settled_rms=5e-8)
     assert seen(loud, noise=4e-8).rms == pytest.approx((3e-8**2 + 4e-9**2) ** 0.5, rel=1e-6)
     assert seen(loud, vibration=4e-8 * 2**0.5).rms == pytest.approx(3e-8)
@@ -100,13 +100,13 @@ def test_what_the_sensor_adds_is_not_of_the_path():
     assert seen(loud, noise=5e-8, held_out=held).rms == pytest.approx((16e-16 + 25e-18) ** 0.5)
 
 
-def test_a_lag_of_unknown_cause_is_a_number_of_its_own():
+def test_a_lag_of_unknown_cause_is_stated_separately():
     known, open_ = expected(ERRORS), expected(ERRORS, lag=1e-3, lag_open=True)
     assert known.rms < open_.rms < 2 * known.rms
     assert (open_.promise.delay, known.promise.delay) == (1e-3, 0.0)
 
 
-def test_held_out_branches_are_new_by_their_turning_points():
+def test_new_branches_are_measured_by_the_distance_of_their_turning_points():
     def branches(*turns):
         return np.column_stack([turns[:-1], turns[1:]]).astype(float)
 
@@ -122,7 +122,7 @@ def test_held_out_branches_are_new_by_their_turning_points():
 
 
 @pytest.mark.parametrize(("slow", "fast"), [(1e-8, 1e-8), (1e-8, 8e-8), (4e-8, 1e-8)])
-def test_an_error_grows_with_the_pace_from_slow_branches_to_fast_ones(slow, fast):
+def test_the_growth_of_errors_with_speed_is_measured(slow, fast):
     turns = [0.0, *np.tile([100.0, 0.0], 10)]
     seconds = np.repeat([10.0, 1.0], 10)
     voltage = np.interp(np.arange(2001) / 100, np.arange(21), turns)
@@ -147,14 +147,14 @@ FAILED = Check("Width", Verdict.FAILS, 1.0, 0.1, "%", "too wide")
         (ERRORS, {"caveats": ["the sensor or the actuator lags"]}),
     ],
 )
-def test_what_speaks_against_a_model_keeps_it_from_being_ready(errors, known):
+def test_a_reason_against_a_model_prevents_the_verdict_ready(errors, known):
     found = expected(errors, **known)
     assert found.readiness is Readiness.USABLE
     assert len(found.reasons) == 1
 
 
 @given(st.floats(1e-9, 1e-6), st.floats(0, 1), st.floats(0, 1e-7))
-def test_a_smaller_error_is_never_judged_worse(largest, share, noise):
+def test_a_smaller_error_never_gives_a_worse_verdict(largest, share, noise):
     order = [Readiness.READY, Readiness.USABLE, Readiness.NOT_USABLE]
     worse, better = (
         Expectation(

@@ -96,7 +96,7 @@ def told_of(turns, elements=10, **options):
 
 
 @pytest.mark.parametrize("turns", TABLE)
-def test_the_table_of_the_theory(turns):
+def test_the_determined_directions_are_those_of_the_theory(turns):
     found = told_of(turns)
     assert (found.determined, found.of) == (TABLE[turns], 10)
     assert len(unseen(turns)) == 10 - TABLE[turns]
@@ -124,7 +124,7 @@ def test_the_rank_is_that_of_a_finely_sampled_record(drawn):
 
 
 @pytest.mark.parametrize("turns", [MAJOR, loops(0.3), (*MAJOR, 0.6, 0.2, 0.9, 0)])
-def test_singular_values_are_volts_that_show_for_a_volt_of_breakaway(turns):
+def test_singular_values_are_those_of_the_projected_elongations(turns):
     # The outline has 4 N + 20 samples on each branch.
     left = projected(turns, samples=60)
     expected = np.linalg.svd(left, compute_uv=False) / np.sqrt(len(left))
@@ -140,7 +140,7 @@ def test_elements_that_do_not_move_are_left_out():
     assert (nothing.determined, nothing.of) == (0, 0)
 
 
-def test_records_without_loops_tell_nothing():
+def test_records_without_loops_determine_no_direction():
     found = told([plain_records.loops(PLANT, (1, 0))])
     assert (found.determined, found.of) == (0, 10)
     # Beside a record with loops they do no harm.
@@ -153,19 +153,19 @@ NOISES = [*((turns, noise) for turns in TABLE for noise in (0.0, 1e-3)), (MAJOR,
 
 
 @pytest.mark.parametrize(("turns", "noise"), NOISES)
-def test_noise_is_no_knowledge(turns, noise):
+def test_noise_determines_no_direction(turns, noise):
     record = plain_records.loops(PLANT, turns, samples=200, noise=noise * plain_records.STROKE)
     found = told([record], movable=np.arange(10) < 9)
     assert (found.determined, found.of) == (TABLE.get(turns, 5), 9)
 
 
-def test_drift_is_no_knowledge():
+def test_drift_determines_no_direction():
     record = plain_records.loops(PLANT, MAJOR * 10)
     drift = 0.015 * plain_records.STROKE * np.linspace(0, 1, len(record))
     assert told([Record(record.time, record.voltage, record.displacement + drift)]).determined == 5
 
 
-def test_separate_records_add_up():
+def test_directions_of_separate_records_add_up():
     records = [
         plain_records.loops(PLANT, turns, name=str(turns)) for turns in (MAJOR, (0.3, 0, 0.3, 0), (0.5, 0, 0.5, 0))
     ]

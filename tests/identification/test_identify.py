@@ -48,7 +48,7 @@ def test_a_known_model_is_recovered(name):
 
 
 @pytest.mark.parametrize("seed", [0, at_night(1)])
-def test_carts_that_stand_anywhere_at_the_start_do_not_matter(seed):
+def test_the_initial_positions_of_carts_have_no_effect(seed):
     y = plain_records.path((0.4, *plain_records.THREE_LOOPS))
     state = plain_records.any_state(PLANT, float(y[0]), seed)
     assert_recovered(dehyst.identify(plain_records.record(PLANT, y, state=state), structure=TEN), PLANT)
@@ -61,7 +61,7 @@ def automatic():
     return dehyst.identify(record), record
 
 
-def test_a_dictionary_stands_for_an_actuator_that_it_does_not_hold():
+def test_the_dictionary_approximates_an_actuator_of_another_class():
     fit, _ = automatic()
     assert fit.outcome is Outcome.IDENTIFIED
     assert fit.good and fit.model is fit.actuator
@@ -87,7 +87,7 @@ def test_the_major_loop_alone_is_undetermined():
     assert fit.errors[0].settled_largest < 5e-3 * STROKE
 
 
-def test_the_papers_class_is_twenty_elements_and_a_spring():
+def test_maxwell_slip_has_twenty_elements_and_a_spring():
     fit = dehyst.identify(TOPS, structure="maxwell_slip")
     assert not fit.actuator._wide
     assert fit.actuator.slip.stiffness.shape == (20,)
@@ -110,14 +110,14 @@ def test_validation_records_get_errors_of_their_own():
     assert fit.promise.basis == "validation records" != alone.promise.basis
 
 
-def test_a_model_that_misses_validation_says_so():
+def test_a_large_validation_error_is_the_outcome():
     other = plain_records.loops(plain_records.plant(10, seed=7, share=0.6), plain_records.THREE_LOOPS, name="other")
     fit = dehyst.identify(TOPS, structure=TEN, validate=other)
     assert fit.outcome is Outcome.VALIDATION_MISSED
     assert not fit.good
 
 
-def test_nonsense_that_is_a_loop_is_inaccurate():
+def test_a_loop_that_no_actuator_has_is_inaccurate():
     t = np.arange(4000) / 200
     y = 8e-6 * (1 - np.cos(0.5 * np.pi * t - 0.3)) + 3e-6 * np.sin(2 * np.pi * t / 1.37)
     fit = dehyst.identify(Record(t, 100 * (1 - np.cos(0.5 * np.pi * t)), y, "nonsense"), structure="maxwell_slip")
@@ -134,7 +134,7 @@ def late(samples=4):
 
 
 @pytest.mark.parametrize("lag_of", [None, "actuator", "sensor"])
-def test_who_lags_is_stated_or_left_open(lag_of):
+def test_the_cause_of_a_lag_is_stated_only_if_it_is_known(lag_of):
     fit = dehyst.identify(late(), structure=TEN, lag_of=lag_of)
     lag = fit.actuator.delay + fit.actuator.lag
     assert lag == pytest.approx(0.02, abs=0.001) == fit.options["delay_s"]
@@ -181,7 +181,7 @@ COPY = Record(TOPS.time, TOPS.voltage, TOPS.displacement, "copy")
         lambda: dehyst.identify(TOPS, validate=COPY),
     ],
 )
-def test_records_that_tell_nothing_new_are_refused(call):
+def test_repeated_records_are_refused(call):
     with pytest.raises((IdentifyError, RecordError)):
         call()
 

@@ -26,7 +26,7 @@ def records():
     return Record(np.arange(y.size) * STEP, v, seen + 1e-9 * np.random.default_rng(4).normal(size=y.size)), y
 
 
-def test_the_displacement_before_the_sensor_is_found():
+def test_the_displacement_before_the_filter_of_the_sensor_is_found():
     seen, y = records()
     before = prepare(seen).without_lag(LAG).record
     first = seen.time.size - len(before)
@@ -35,7 +35,7 @@ def test_the_displacement_before_the_sensor_is_found():
     assert np.sqrt(np.mean((seen.displacement - y) ** 2)) > 0.04 * STROKE
 
 
-def test_a_lag_is_called_the_sensor_s_or_the_actuator_s_and_an_option_tells():
+def test_the_message_about_a_lag_follows_the_option_lag_of():
     seen, _ = records()
     unknown, none, known = (identify(seen, structure="maxwell_slip", sensor_lag=lag) for lag in (None, 0.0, LAG))
     assert unknown.actuator.delay + unknown.actuator.lag > 0.5 * LAG
@@ -58,7 +58,7 @@ def test_a_coarse_voltage_keeps_a_model_from_being_ready():
     ("rate", "decades", "steady", "creeps"),
     [(0.02, 2.0, False, True), (0.3, 2.0, False, False), (0.3, 0.4, False, False), (0.02, 2.0, True, False)],
 )
-def test_a_drift_that_cannot_be_creep_is_not_called_so(rate, decades, steady, creeps):
+def test_a_drift_too_large_for_creep_is_not_called_creep(rate, decades, steady, creeps):
     """Too large, too short to tell, or straight in time."""
     stroke = plain_records.STROKE
     lengths = dict.fromkeys(

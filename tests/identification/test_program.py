@@ -108,7 +108,7 @@ PARTS = {"lead": ("delay",), "damping": ("inertia",), "thermal gain": WARMS, "th
 
 
 @pytest.mark.parametrize("name", MOVING)
-def test_numbers_of_what_moves_are_recovered(name):
+def test_the_numbers_of_parts_that_depend_on_time_are_recovered(name):
     records, start, turns, number, true = MOVING[name]
     start = {key: np.asarray(value) if key == "zero" else value for key, value in start.items()}
     made = search.fitted(wide.frame(records(), **start), moved.STRUCTURE, 4000, PARTS.get(name, (name,)), turns)
@@ -150,7 +150,7 @@ def test_a_fold_is_left_out_by_the_difference_of_sums(name):
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
 
 
-def test_less_weight_for_large_residuals_is_robust():
+def test_reweighting_makes_the_solution_robust():
     plant, program = known("plain")
     voltage = program.rows.voltage.copy()
     voltage[::50] += 0.2 * VOLTS * np.random.default_rng(0).uniform(0, 1, voltage[::50].size)
@@ -161,7 +161,7 @@ def test_less_weight_for_large_residuals_is_robust():
     assert errors[1] < 0.2 * errors[0]
 
 
-def test_an_element_that_holds_nothing_is_left_out():
+def test_an_element_without_stiffness_is_left_out():
     plant, program = known("smooth")
     found = program.solved()
     kept = found.smooth * (np.arange(found.smooth.size) % 2)
@@ -169,7 +169,7 @@ def test_an_element_that_holds_nothing_is_left_out():
     assert replace(found, smooth=0 * kept).to_actuator(plant.grid, 0.0).smooth is None
 
 
-def test_tau_keeps_the_ends_of_the_voltages():
+def test_tau_keeps_the_ends_of_the_voltage_range():
     """Rows that no tau of this kind explains: its ends stay, and no slope falls below a fifth."""
     plant, program = known("transformer")
     v, (low, high) = program.rows.voltage, plant.grid.drive[[0, -1]]
@@ -218,7 +218,7 @@ def grid(**changes):
 
 
 @pytest.mark.parametrize("spacing", [1.0, 2.0])
-def test_differences_of_neighbours_by_hand(spacing):
+def test_rows_of_the_smoothing_are_differences_of_neighbours(spacing):
     own, rng = grid(spacing=spacing), np.random.default_rng(5)
     rho = own.breakaway[own.movable]
     kappa, slopes, drive = rng.random((rho.size, 3)), rng.random(4), rng.random(5)
@@ -234,17 +234,17 @@ def test_differences_of_neighbours_by_hand(spacing):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_held_out_time_of_a_truth_of_the_class_is_predicted(name):
+def test_held_out_time_of_an_exact_model_is_predicted(name):
     made = search.fitted(wide.frame([wide.plant(wide.STRUCTURES[name]).record()]), wide.STRUCTURES[name], 4000)
     assert made.held_out < 1e-6 * STROKE
 
 
-def test_times_are_those_of_the_finest_and_the_longest_record():
+def test_time_constants_lie_between_the_finest_step_and_the_longest_record():
     records = [plain_records.loops(plain_records.plant(10), plain_records.MAJOR, rate=rate) for rate in (200.0, 50.0)]
     assert wide.frame(records).times == pytest.approx((1 / 200, float(np.ptp(records[1].time))))
 
 
-def test_a_step_does_not_begin_after_the_limit():
+def test_no_step_begins_after_the_time_limit():
     endless, deadline = Deadline(), Deadline(1e-9)
     assert (endless.left, endless.passed, endless.attempt(lambda: 1, 2, "a step")) == (np.inf, False, 1)
     assert deadline.passed and deadline.left == 0
@@ -254,7 +254,7 @@ def test_a_step_does_not_begin_after_the_limit():
     assert (len(endless.remarks("one")), len(deadline.remarks("one"))) == (0, 1)
 
 
-def test_a_step_that_looks_at_the_deadline_is_left():
+def test_a_step_that_checks_the_deadline_is_ended():
     deadline, said = Deadline(), []
     report = deadline.watched(said.append)
 
@@ -271,7 +271,7 @@ def test_a_step_that_looks_at_the_deadline_is_left():
     assert said == ["begins", "finishing"]
 
 
-def test_a_signal_handler_leaves_a_step_that_looks_at_nothing():
+def test_a_signal_handler_ends_a_step_that_does_not_check_the_deadline():
     deadline = Deadline()
     before = signal.signal(signal.SIGINT, lambda *_: deadline.end("Ctrl-C", leave_step=True))
     try:

@@ -45,7 +45,7 @@ def growth(record, epoch):
     return max(before.min() - during.min(), 0.0) + max(during.max() - before.max(), 0.0)
 
 
-def test_one_constant_an_epoch_is_exact_for_any_carts():
+def test_one_constant_per_epoch_is_exact_for_any_cart_positions():
     strict = 0
     for seed in range(RANDOM_RECORDS):
         actuator, record = random_record(seed)
@@ -69,7 +69,7 @@ def test_thinned_rows_are_every_third_of_all():
         np.testing.assert_array_equal(getattr(third, name), column[::3])
 
 
-def test_a_record_that_only_ever_grows_has_no_row():
+def test_a_record_whose_range_always_grows_has_no_row():
     actuator = plain_records.plant(5)
     record = plain_records.loops(actuator, (0.0, 1.0), state=actuator.relaxed())
     rows, found = rows_of(actuator, record)
@@ -77,7 +77,7 @@ def test_a_record_that_only_ever_grows_has_no_row():
     assert rows.elongation.shape == (0, 5)
 
 
-def test_carts_that_stand_still_add_displacement_less_the_middle():
+def test_carts_that_do_not_move_add_the_displacement_from_the_middle():
     actuator = plain_records.plant(10)
     record = plain_records.loops(
         actuator, (0.3, 0.6, 0.3, 0.6, 0.3), state=plain_records.any_state(actuator, 0.3 * plain_records.STROKE, 2)
@@ -110,7 +110,7 @@ def test_drift_of_the_displacement_makes_no_epochs():
     assert len(epochs(Record(clean.time, clean.voltage, creeping, "creeping"))) == 1
 
 
-def test_noise_of_the_sensor_cuts_the_reach():
+def test_noise_of_the_sensor_reduces_the_reach():
     record = plain_records.loops(plain_records.plant(10), plain_records.MAJOR)
     (clean,), (cut,) = epochs(record), epochs(record, 1e-8)
     assert clean.reach == pytest.approx(plain_records.STROKE, rel=1e-12)
@@ -120,7 +120,7 @@ def test_noise_of_the_sensor_cuts_the_reach():
 
 @pytest.mark.parametrize("name", ["plain", "smooth", "all"])
 @pytest.mark.parametrize("cut", [0, 200])
-def test_internal_states_are_those_of_the_models_parts_along_lead_and_path(name, cut):
+def test_internal_states_agree_with_those_of_the_model(name, cut):
     plant = wide.plant(wide.STRUCTURES[name], path=wide.wandering(6, hold=8))
     record = plant.record()
     # Uneven steps of time, too.

@@ -35,21 +35,21 @@ def tops(seed=0, noise=NOISE):
 @pytest.mark.parametrize(
     ("seed", "turns"), spanning(range(3), [plain_records.DESCENDING_TOPS, plain_records.REVERSAL_CURVES])
 )
-def test_nothing_moves_in_a_static_truth_with_noise(seed, turns):
+def test_no_part_is_found_in_static_records_with_noise(seed, turns):
     motion, names = found([plain_records.loops(PLANT, turns, noise=NOISE, seed=seed)])
     assert names == set()
     assert (motion.delay, motion.lag, motion.mass, motion.creep, motion.drift.any()) == (0, 0, 0, None, False)
 
 
 @pytest.mark.parametrize("samples", [3, 0.5, -0.5, -0.25, -1.0, -1.5])
-def test_a_delay_and_a_lead_of_half_a_sample_are_found_and_no_other_lead(samples):
+def test_a_delay_is_found_and_a_lead_of_at_most_half_a_sample(samples):
     motion, names = found([moved.delayed(samples, NOISE)], more=False)
     assert ("delay" in names) is (samples in (3, 0.5, -0.5))
     assert motion.delay == (pytest.approx(samples * STEP, abs=0.05 * STEP) if "delay" in names else 0)
 
 
 @pytest.mark.parametrize("which", ["lag", "drift", "more"])
-def test_what_must_not_move_does_not(which):
+def test_parts_that_are_switched_off_are_not_found(which):
     record = {"lag": moved.delayed(3), "drift": moved.drifting(0.02), "more": driven(DYNAMICS)}[which]
     _, names = found([record], **{which: False})
     assert not names & {"lag": {"delay"}, "drift": {"drift"}, "more": {"creep", "inertia"}}[which]
@@ -105,7 +105,7 @@ def test_slow_cycles_show_no_resonance():
     assert "inertia" not in names
 
 
-def test_the_path_before_a_resonance_comes_back():
+def test_the_path_before_a_resonance_is_recovered():
     """A second way: the same actuator without its mass moves so. Corners of its motion are rounded a little."""
     made, expected = driven(DYNAMICS, noise=0.0), driven(noise=0.0).displacement
     seen, left = (
@@ -117,7 +117,7 @@ def test_the_path_before_a_resonance_comes_back():
     assert remove_dynamics(made, None) is made
 
 
-def test_structures_that_explain_as_well_but_differ_disagree():
+def test_equally_good_structures_that_differ_give_a_disagreement():
     frame = wide.frame([tops(noise=0.1 * NOISE)])
     chosen, same, other = (
         search.fitted(frame, structure, 4000)
@@ -143,7 +143,7 @@ def test_the_smoothing_with_the_least_held_out_error_is_chosen():
     assert (made.structure, made.held_out) == (best.structure, best.held_out)
 
 
-def test_repeated_loops_are_not_new():
+def test_repeated_loops_have_no_new_turning_points():
     again = plain_records.loops(PLANT, (1, 0) * 12)
     random = plain_records.loops(PLANT, (0, 1, 0, *np.random.default_rng(0).uniform(0, 1, 20)))
     assert search.new_in_time(wide.frame([again])) == pytest.approx((0, 0), abs=1e-9)
@@ -151,7 +151,7 @@ def test_repeated_loops_are_not_new():
 
 
 @pytest.mark.parametrize(("fastest", "longest"), [(0.01, 50.0), (1.0, 2.0)])
-def test_creep_lasts_from_the_fastest_branch_to_the_longest_record(fastest, longest):
+def test_time_constants_of_creep_reach_from_the_fastest_branch_to_the_longest_record(fastest, longest):
     tau = creep_times(fastest, longest)
     np.testing.assert_allclose(tau[[0, -1]], [fastest, longest])
     np.testing.assert_allclose(np.diff(np.log(tau), 2), 0, atol=1e-12)

@@ -115,7 +115,7 @@ def test_any_start_gives_the_same_answer(program, seed):
 
 @examples(40, nightly=150)
 @given(st.integers(0, 10**9), st.integers(1, 6), st.booleans(), st.booleans())
-def test_dependent_columns_and_repeated_inequalities_change_no_prediction(seed, bounded, column, limit):
+def test_dependent_columns_and_repeated_inequalities_do_not_change_the_prediction(seed, bounded, column, limit):
     program = random(seed, 1, bounded, 5)
     wide = program
     if column:
@@ -133,7 +133,7 @@ def test_dependent_columns_and_repeated_inequalities_change_no_prediction(seed, 
 @pytest.mark.parametrize("method", ["_exchanged", None])
 @pytest.mark.parametrize("limits", [0, 8])
 @pytest.mark.parametrize("seed", range(4))
-def test_the_last_resort_finds_the_same(monkeypatch, seed, limits, method):
+def test_the_fallback_methods_find_the_same_solution(monkeypatch, seed, limits, method):
     program = graded(seed, limits=limits)
     x, _ = program.least()
     if method:
@@ -173,7 +173,7 @@ def test_degenerate_programs_end(seed):
     assert program.objective(x) <= best.fun + 1e-5
 
 
-def test_a_column_whose_rows_left_gets_nothing():
+def test_a_column_without_rows_has_the_coefficient_0():
     program = random(2, 1, 5)
     program.rows[20:, 3] = 0.0
     part = NormalEquations.none(program.rows.shape[1], 1).with_rows(program.rows[:20], program.target[:20]).whole

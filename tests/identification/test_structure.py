@@ -25,7 +25,7 @@ STRUCTURES = st.builds(
 
 
 @given(STRUCTURES)
-def test_the_grid_covers_the_loops_and_no_more(structure):
+def test_the_grid_covers_exactly_the_loops(structure):
     grid = structure.grid(SPAN, VOLTS)
     stroke = SPAN[1] - SPAN[0]
     assert grid.breakaway.size == structure.elements
@@ -44,13 +44,13 @@ def test_the_grid_covers_the_loops_and_no_more(structure):
 
 
 @given(STRUCTURES)
-def test_json_values_give_the_structure_back(structure):
+def test_json_values_restore_the_structure(structure):
     assert Structure(**json.loads(json.dumps(structure.as_dict()))) == structure
     assert {field.name for field in fields(structure)} == set(structure.as_dict())
 
 
 @given(structure=STRUCTURES, scale=st.floats(1e-3, 1e3))
-def test_the_grid_goes_with_the_units(structure, scale):
+def test_the_grid_scales_with_the_units(structure, scale):
     grid = structure.grid(SPAN, VOLTS)
     scaled = structure.grid((scale * SPAN[0], scale * SPAN[1]), (scale * VOLTS[0], scale * VOLTS[1]))
     for name in ("breakaway", "grades", "knots", "drive", "lengths"):

@@ -44,7 +44,7 @@ def warm():
     return dehyst.identify([at(15, 16, 1), at(29, 31, 2), at(45, 44, 3)], **SETTINGS)
 
 
-def test_the_gain_is_found(warm):
+def test_the_gain_per_kelvin_is_found(warm):
     thermal = warm.actuator.thermal
     assert thermal.reference == pytest.approx(30, abs=1)
     assert thermal.gain == pytest.approx(GAIN / (1 + GAIN * (thermal.reference - 20)), rel=0.01)
@@ -62,7 +62,7 @@ def test_expansion_is_found_where_the_temperature_changes_within_records(seed, g
     assert thermal.gain * STROKE == pytest.approx(gain * STROKE, abs=0.2 * abs(GAIN) * STROKE)
 
 
-def test_temperatures_between_are_predicted_as_at_a_constant_one(warm):
+def test_temperatures_in_between_are_predicted_as_well_as_a_constant_one(warm):
     constant = dehyst.identify([at(20, 20, seed, known=False) for seed in (1, 2, 3)], **SETTINGS).actuator
     least = missed(constant, at(20, 20, 7, known=False))
     for degrees in (22, 38):
@@ -73,7 +73,7 @@ def test_temperatures_between_are_predicted_as_at_a_constant_one(warm):
 
 
 @pytest.mark.nightly
-def test_without_the_channel_the_promise_covers_what_is_reached():
+def test_without_a_temperature_channel_the_promise_is_kept():
     fit = dehyst.identify([at(15, 16, 1, known=False), at(29, 31, 2, known=False), at(45, 44, 3, known=False)])
     assert fit.actuator.thermal is None
     for degrees in (22, 38):
@@ -87,7 +87,7 @@ def test_a_new_record_is_compared_at_the_reference(warm):
     assert dehyst.check(unaware, record).rms > 3 * dehyst.check(warm.actuator, record).rms
 
 
-def test_what_records_do_not_show_is_left_out_and_said():
+def test_an_effect_that_records_do_not_show_is_left_out_with_a_reason():
     assert temperatures_of([at(20, 21, 1), at(20, 21, 2)]) == (None, "")
     incomplete, two = [at(15, 16, 1), at(44, 45, 2), at(30, 30, 3, known=False)], [at(20, 20, 1), at(35, 35, 2)]
     for records in (incomplete, two):
@@ -98,13 +98,13 @@ def test_what_records_do_not_show_is_left_out_and_said():
     assert fit.actuator.thermal is None
 
 
-def test_an_effect_that_the_time_limit_leaves_out_is_said():
+def test_an_effect_that_the_time_limit_leaves_out_is_named():
     fit = dehyst.identify([at(15, 16, 1), at(29, 31, 2), at(45, 44, 3)], time_limit=1e-3)
     assert fit.actuator.thermal is None
     assert "the search ended before it" in " ".join(fit.promise.reasons)
 
 
-def test_an_effect_that_is_not_there_is_not_found():
+def test_no_effect_is_found_without_an_effect():
     none = [at(first, first + 1, seed, gain=0.0) for seed, first in ((1, 15), (2, 30), (3, 44))]
     assert temperatures_of(none)[0] is not None
     fit = dehyst.identify(none, **SETTINGS)
@@ -129,7 +129,7 @@ def test_the_range_of_temperatures_is_known_to_the_model(warm):
     assert (low, high) == (pytest.approx(15, abs=0.2), pytest.approx(45, abs=0.2))
 
 
-def test_a_check_at_a_temperature_that_was_not_tested_says_so_and_promises_less(warm):
+def test_a_check_at_an_untested_temperature_says_so_and_has_a_wider_promise(warm):
     tested, hot = (dehyst.check(warm.actuator, at(first, first + 1, 7)) for first in (38, 60))
     assert hot.promise.parts["temperature"] > 0.03 * STROKE
     assert "temperature" not in tested.promise.parts
@@ -160,7 +160,7 @@ DISTURBANCES = {
 
 
 @pytest.mark.parametrize("name", [at_night("drift"), "vibration", at_night("noise")])
-def test_what_the_voltage_does_not_cause_makes_no_part(name):
+def test_disturbances_do_not_become_parts_of_the_model(name):
     fit = dehyst.identify(recorded(PLANT, DISTURBANCES[name]), **SETTINGS)
     assert fit.actuator.dynamics is None
     assert fit.actuator.displacement_creep is None

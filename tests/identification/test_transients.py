@@ -70,7 +70,7 @@ def followed(name, kind, samples):
 @pytest.mark.parametrize(
     ("name", "kind"), [("plays", "step first"), at_night("relays", "step first"), at_night("relays", "step last")]
 )
-def test_the_motion_is_promised_and_the_transient_named(name, kind):
+def test_the_promise_holds_beside_a_transient_which_is_named(name, kind):
     fit, rms = followed(name, kind, samples=30_000)
     error, expected = fit.errors[0], fit.promise
     assert any("left out" in sentence for sentence in fit.repairs)
@@ -81,7 +81,7 @@ def test_the_motion_is_promised_and_the_transient_named(name, kind):
     assert 40 < error.left_out < 4000
 
 
-def test_what_rings_neither_counts_nor_is_compared():
+def test_ringing_is_neither_fitted_nor_compared():
     record, _, _ = record_of("plays", "staircase", samples=20_000)
     prepared = prepare(record)
     aside = prepared.record.set_aside
@@ -101,7 +101,7 @@ def resting(seconds, creep=0.0):
     return Record(time, voltage, y + np.random.default_rng(1).normal(0, 1e-9, time.size))
 
 
-def test_rest_before_and_after_the_motion_does_not_count():
+def test_rest_before_and_after_the_motion_is_left_out():
     prepared, moving = prepare(resting(4.0)), prepare(resting(0.1))
     assert len(prepared.record) < 1.05 * len(moving.record)
     assert cycle_time(prepared.record) == pytest.approx(1.0, rel=0.02)

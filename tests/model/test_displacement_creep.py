@@ -76,7 +76,7 @@ def with_scale(gain, offset=0.0):
         lambda: Compensator(THERMAL, (0, 200), period=1e-3).step(5e-6, "warm"),
     ],
 )
-def test_what_no_loop_can_be_told_is_refused(make):
+def test_invalid_arguments_are_refused(make):
     with pytest.raises(ModelError):
         make()
 
@@ -95,7 +95,7 @@ def test_gain_and_offset_of_a_loop_go_with_its_snapshot():
 THERMAL = replace(CREEPING, thermal=Thermal(0.004, 2e-9, 25.0))
 
 
-def test_temperature_is_a_gain_and_an_offset_behind_all_other_parts():
+def test_temperature_changes_gain_and_offset_after_all_other_parts():
     time = 1e-3 * np.arange(500)
     path, kelvins = smooth(time), 15 * np.sin(2 * time)
     warm = THERMAL.simulate(np.full(500, 50.0), time=time, temperature=35.0).displacement

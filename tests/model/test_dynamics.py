@@ -36,7 +36,7 @@ def second_order(series, damping):
 @pytest.mark.parametrize("series", [0.0, 1e6, 3e7])
 @pytest.mark.parametrize("damping", [0.0, 0.01, 1.0, 2.0])
 @pytest.mark.parametrize("step", [0.01, 0.5, 3.0, 50.0])
-def test_without_hysteresis_it_is_exact_for_any_step(series, damping, step):
+def test_without_hysteresis_a_mass_is_exact_for_any_step(series, damping, step):
     from scipy.signal import StateSpace, lsim
 
     time = np.arange(200) * step / OMEGA
@@ -53,7 +53,7 @@ def test_without_hysteresis_it_is_exact_for_any_step(series, damping, step):
     "slip",
     [MaxwellSlip([5e-7, 1e-6], [3e6, 2e6]), GradedSlip([5e-7, 1e-6], [2e-6, 4e-6, 6e-6], [[3e6, 1e6], [2e6, 3e6]])],
 )
-def test_against_runge_and_kutta(slip):
+def test_a_mass_moves_as_by_runge_kutta(slip):
     """Theory section 9 as it stands: an ODE in (y, y') whose right side solves for w; carts follow at whole steps."""
     from scipy.optimize import brentq
 
@@ -131,7 +131,7 @@ def test_simulating_the_feedforward_converges_at_second_order(slip, lag, series,
 
 
 @given(motion=our.wider_motions({"creep": False, "smooth": False}, max_samples=120), seed=our.SEEDS)
-def test_a_slow_load_shifts_what_has_no_mass(motion, seed):
+def test_a_slow_load_shifts_an_actuator_without_mass(motion, seed):
     actuator, state, time, path = motion
     loaded = Actuator(actuator.slip, actuator.spring, transformer=actuator.transformer, load_stiffness=2e6)
     load = 2e6 * our.span_of(actuator) * np.random.default_rng(seed).normal(size=path.size)
@@ -150,7 +150,7 @@ def test_a_slow_load_shifts_what_has_no_mass(motion, seed):
     series=st.sampled_from([0.0, 0.5, 20.0]),
 )
 @settings(max_examples=40)
-def test_the_stack_moves_a_mass_as_the_carts_do(motion, series):
+def test_stack_and_carts_agree_with_a_mass(motion, series):
     actuator, state, time, path = motion
     volts = actuator.compensate(path, time=time, state=state, extrapolate=True).voltage
     hertz = 1.0 / np.median(np.diff(time)) if time.size > 1 else 1.0
@@ -194,7 +194,7 @@ def test_a_record_with_a_mass_may_be_cut_at_any_sample():
         np.testing.assert_allclose(rest.state.motion, whole.state.motion, atol=1e-11 * np.abs(whole.state.motion[1]))
 
 
-def test_a_step_in_which_an_overshoot_would_outdo_the_spring_is_refused():
+def test_a_step_too_long_for_the_resonance_is_refused():
     uneven = Spring([0, 5e-6, 1e-5], [0, 0.01, 100])
     actuator = free(1e8, 0.0, uneven)
     time = np.arange(4) * 4.5 / OMEGA * np.sqrt(1 + 1e8 / 1e7)

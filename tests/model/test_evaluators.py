@@ -95,7 +95,7 @@ NESTED = our.motions(our.actuators(1, 3), ("relaxed", "reached", "turned up"), (
 @example(barely_nested(), 0)
 @example(shortened_branch(), 0)
 @examples(40, nightly=300)
-def test_clips_and_stack_agree(motion, seed):
+def test_clipped_elements_and_stack_agree(motion, seed):
     actuator, state, path = motion
     v = our.voltages_like(actuator, state, path, seed)
     for run, drive in ((actuator.compensate, path), (actuator.simulate, v)):
@@ -140,7 +140,7 @@ def test_simulate_agrees_with_the_oracle(stack, motion, seed):
 
 
 @given(our.motions(our.actuators(1, 12), max_samples=0), our.SEEDS, st.sampled_from([0.01, 0.3, 1.0, 2.0, 4.0]))
-def test_jitter_about_the_width_in_which_nothing_slides_changes_no_answer(motion, seed, share):
+def test_both_evaluators_agree_on_jitter_of_twice_the_smallest_breakaway(motion, seed, share):
     """Below it the stack does not turn at all; at it, every way back is a close question."""
     actuator, state, _ = motion
     rng = np.random.default_rng(seed)
@@ -177,7 +177,7 @@ def test_a_long_decay_is_pruned_and_a_major_loop_is_forgotten():
 
 
 @given(motion=our.wider_motions(max_samples=0), seed=our.SEEDS)
-def test_states_rest_where_they_say(motion, seed):
+def test_a_state_at_rest_keeps_voltage_and_displacement(motion, seed):
     actuator, state, *_ = motion
     v = actuator.voltage(state)
     volts, metres = scales(actuator, state, [], [v])
@@ -202,7 +202,7 @@ def outer_slopes(slip, spring, y):
 
 
 @given(seed=our.SEEDS, size=st.floats(0.1, 10))
-def test_branches_that_fall_are_refused_and_no_others(seed, size):
+def test_only_falling_branches_are_refused(seed, size):
     rng = np.random.default_rng(seed)
     spring = Spring([0, 0.4, 1], [0, 0.5, 1])
     slip = GradedSlip(np.cumsum(rng.uniform(0.05, 0.3, 4)), np.sort(rng.uniform(0, 1, 5)), size * rng.random((4, 4)))

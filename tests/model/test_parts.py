@@ -125,7 +125,7 @@ def test_numbers_of_no_piezo_actuator_are_refused_from_a_file(name):
 
 
 @pytest.mark.parametrize("part", PARTS)
-def test_numbers_are_kept_apart_from_those_that_were_given(part):
+def test_a_part_copies_the_given_arrays(part):
     for field in fields(PARTS[part]):
         kept = getattr(PARTS[part], field.name)
         given = np.array(kept)
@@ -139,7 +139,7 @@ def test_numbers_are_kept_apart_from_those_that_were_given(part):
 
 
 @pytest.mark.parametrize("part", PARTS)
-def test_a_part_comes_back_from_a_file_and_no_other_object_is_one(part):
+def test_a_part_is_restored_from_a_file_and_other_objects_are_refused(part):
     field, actuator = FIELD.get(part, part), actuator_with(part)
     back = getattr(Actuator.from_dict(actuator.as_dict()), field)
     assert type(back) is type(PARTS[part]) and back.as_dict() == PARTS[part].as_dict()
@@ -173,7 +173,7 @@ def test_a_part_comes_back_from_a_file_and_no_other_object_is_one(part):
         lambda: Actuator(SLIP, SPRING).relaxed("off"),
     ],
 )
-def test_shapes_that_do_not_fit_are_refused(make):
+def test_wrong_shapes_are_refused(make):
     with pytest.raises(ModelError):
         make()
 
@@ -210,7 +210,7 @@ CONSTANTS = {"transformer_ratio": 0.042, "mechanical_stiffness": 1.4e6, "electri
         ("actuator", {**TIME, "load": [1.0, np.nan]}),
     ],
 )
-def test_what_does_not_fit_the_parts_is_refused(run, part, given):
+def test_arguments_that_do_not_fit_the_parts_are_refused(run, part, given):
     actuator = actuator_with(part)
     with pytest.raises(ModelError):
         getattr(actuator, run)([0.0, 1e-6], **given)
@@ -229,7 +229,7 @@ def test_rates_of_another_size_are_refused(rate):
     ("part", "constants"),
     [("graded", CONSTANTS), ("transformer", CONSTANTS), ("slip", CONSTANTS | {"transformer_ratio": 0})],
 )
-def test_what_has_no_physical_numbers_is_refused(part, constants):
+def test_a_model_without_physical_constants_is_refused(part, constants):
     with pytest.raises(ModelError):
         Physical.of(actuator_with(part), **constants)
 
@@ -267,12 +267,12 @@ def swinging(damping):
         lambda: Compensator(PLAIN, state=FAR),
     ],
 )
-def test_numbers_that_cannot_be_computed_with_are_refused(call):
+def test_numbers_out_of_range_are_refused(call):
     with pytest.raises(ModelError):
         call()
 
 
-def test_the_farthest_place_leaves_room():
+def test_the_largest_displacement_has_a_finite_voltage():
     """A model that is refused nowhere computes finite voltages at the farthest place."""
     actuator = Actuator(UNIFORM, Spring([0.0, 1.0], [0.0, MOST]))
     assert np.isfinite(actuator.compensate([0.5 * FARTHEST, -0.5 * FARTHEST], extrapolate=True).voltage).all()

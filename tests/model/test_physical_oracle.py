@@ -20,7 +20,7 @@ def assert_vanishes(errors):
 
 
 @pytest.mark.parametrize("residual", [at_night(False), True], ids=["relaxed", "with residual charge"])
-def test_displacement_and_charge_are_the_circuits_as_its_friction_becomes_dry(residual):
+def test_displacement_and_charge_converge_to_those_of_the_circuit(residual):
     actuator = actuator_of(STACK)
     time, voltage = branches(TURNS, 40)
     reach = STACK.friction / STACK.stiffness
@@ -39,7 +39,7 @@ def test_displacement_and_charge_are_the_circuits_as_its_friction_becomes_dry(re
 
 
 @pytest.mark.nightly
-def test_a_slow_load_under_a_voltage_moves_the_charge_too():
+def test_a_slow_load_at_constant_voltage_changes_the_charge():
     """With ke / T as series spring, and a mass so small that it follows at once."""
     actuator = actuator_of(STACK, dynamics=Dynamics(1.6e6, 1.0, KE / T), load_stiffness=KM + KE)
     time, voltage = branches([0, 200, 0, 140, 30, 90, 0], 400)

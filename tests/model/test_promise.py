@@ -34,7 +34,7 @@ TOPS = known(0, 100, 0, 80, 0, 60, 0, 40, 0)
 TIME, VOLTAGE = motion(0, 100, 0, 80, 0, 60, 0, 40, 0)
 
 
-def test_branches_are_from_turn_to_turn_and_alike_branches_are_near():
+def test_similar_branches_have_a_small_distance():
     _, voltage = motion(0, 100, 30, 70)
     np.testing.assert_allclose(voltage[branches_of(voltage, SPAN)], [[0, 100], [100, 30], [30, 70]])
     known = np.array([[0.0, 1.0], [1.0, 0.0]])
@@ -45,7 +45,7 @@ def test_branches_are_from_turn_to_turn_and_alike_branches_are_near():
     np.testing.assert_allclose(distances(np.array([[0.5, 0.55]]), known[1:]), [0.05])
 
 
-def test_a_path_like_the_records_is_promised_more_than_one_that_turns_elsewhere():
+def test_a_path_like_the_records_has_a_smaller_bound_than_one_with_new_turns():
     alike, other = (promise(TOPS, motion(*turns)[1]) for turns in ((0, 80, 0, 60, 0), (0, 80, 45, 70, 45, 75, 40)))
     assert alike.largest < other.largest and alike.rms < other.rms
     assert (alike.untested, len(other.untested)) == ((), 1)
@@ -53,7 +53,7 @@ def test_a_path_like_the_records_is_promised_more_than_one_that_turns_elsewhere(
     assert other.half[250] > 1.2 * other.half[0]
 
 
-def test_records_that_turn_at_random_promise_more():
+def test_random_turning_points_make_the_bound_smaller():
     turns = [0, 100, *np.random.default_rng(0).uniform(0, 100, 60)]
     assert known(*turns, new=(0.08, 0.08)).anywhere.largest < known(*turns).anywhere.largest
 
@@ -68,7 +68,7 @@ def test_speeds_holds_and_voltages_beyond_the_records_are_named():
     assert len(promise(TOPS, *motion(0, 40, 0, branch=3)[::-1]).untested) == 2
 
 
-def test_a_lag_of_records_of_one_pace_may_be_wrong_on_faster_paths():
+def test_a_lag_from_records_of_one_speed_adds_an_error_on_faster_paths():
     time, voltage = motion(0, 100, 0, 50, 10)
     one_pace, open_ = (known(0, 100, 0, 100, 0, lag=0.01, lag_open=open_) for open_ in (False, True))
     assert (one_pace.lag_error, known(0, 100, 0, lag=0.01, lag_error=0.0).lag_error) == (pytest.approx(0.01), 0.0)
@@ -91,7 +91,7 @@ def test_a_promise_grows_steadily_with_the_speed_beyond_that_of_the_records():
     assert [len(commands) for commands in asked] == [0, 0, 1, 1, 1] and all(all(commands) for commands in asked)
 
 
-def test_a_path_longer_than_the_records_costs_creep_that_they_cannot_show():
+def test_a_path_longer_than_the_records_adds_an_error_of_creep():
     creep = DisplacementCreep([0.1, 10.0], [0.02, 0.02])
     short, ten, hundred = (promise(TOPS, VOLTAGE, factor * TIME, creep=creep) for factor in (0.5, 10.0, 100.0))
     assert "creep" not in short.parts and ten.parts["creep"] > 0.002 * STROKE
@@ -99,7 +99,7 @@ def test_a_path_longer_than_the_records_costs_creep_that_they_cannot_show():
     assert min(ten.rms, hundred.rms) > short.rms
 
 
-def test_a_creep_that_the_records_may_hide_costs_what_is_slower_than_their_branches():
+def test_a_hidden_creep_adds_an_error_on_slow_paths():
     hiding = replace(TOPS, creep_open=0.02)
     costs = [promise(hiding, VOLTAGE, factor * TIME / TIME[-1]).parts.get("creep", 0.0) for factor in (1, 10, 100)]
     assert costs[0] == 0 < costs[1] == pytest.approx(0.5 * costs[2])
@@ -108,13 +108,13 @@ def test_a_creep_that_the_records_may_hide_costs_what_is_slower_than_their_branc
     assert "creep" not in promise(hiding, VOLTAGE, TIME, creep=DisplacementCreep([0.1], [0.02])).parts
 
 
-def test_a_removed_drift_is_named_where_it_matters():
+def test_a_removed_drift_is_named_if_it_exceeds_the_goal():
     drifting = known(0, 100, 0, 80, 0, 60, 0, 40, 0, drift=1e-7)
     assert [gap.what for gap in promise(drifting, VOLTAGE, TIME).untested] == ["drift"]
     assert promise(drifting, VOLTAGE[:101], TIME[:101]).untested == promise(TOPS, VOLTAGE, TIME).untested == ()
 
 
-def test_every_part_of_a_promise_has_words_in_the_report():
+def test_the_report_describes_every_part_of_a_promise():
     known_ = known(0, 100, 0, lag=0.01, lag_error=0.01, temperatures=(20.0, 20.0))
     time, voltage = motion(0, 120, 0, branch=0.1, hold=1e4)
     parts = {"thermal": Thermal(20.0, 1e-3), "creep": DisplacementCreep([1.0], [0.01]), "temperature": 30.0}
@@ -123,7 +123,7 @@ def test_every_part_of_a_promise_has_words_in_the_report():
 
 
 @pytest.mark.parametrize("growth", [0.0, 5e-8])
-def test_a_path_that_turns_faster_than_the_records_at_their_speed_is_named_and_promised_less(growth):
+def test_more_turns_per_second_than_in_the_records_are_named_and_widen_the_promise(growth):
     often, seldom = (motion(*[50, 55] * 8, branch=branch) for branch in (0.05, 0.8))
     usual, fast = (promise(replace(TOPS, growth=growth), voltage, time) for time, voltage in (seldom, often))
     assert fast.largest > 1.5 * usual.largest and fast.rms > 1.5 * usual.rms
@@ -133,14 +133,14 @@ def test_a_path_that_turns_faster_than_the_records_at_their_speed_is_named_and_p
 
 
 @given(st.lists(st.floats(0, 100), min_size=2, max_size=12), st.floats(0, 1e-7), st.floats(0, 1e-7))
-def test_a_promise_never_falls_with_the_errors_and_is_never_nothing(turns, rms, more):
+def test_a_promise_is_positive_and_does_not_fall_when_errors_grow(turns, rms, more):
     _, voltage = motion(*turns)
     less, greater = (promise(known(0, 100, 0, rms=size), voltage) for size in (rms, rms + more))
     assert 0 < less.rms <= greater.rms < greater.largest
     assert less.half.shape == voltage.shape and np.all(less.half <= greater.half)
 
 
-def test_a_temperature_that_was_not_tested_or_is_not_known_costs_a_stated_amount():
+def test_an_untested_or_unknown_temperature_adds_an_error():
     warm, part = replace(TOPS, temperatures=(15.0, 45.0)), Thermal(-2.5e-3, 5e-9, 30.0)
     kelvin = 2.5e-3 * STROKE + 5e-9
     assert part.per_kelvin(STROKE) == pytest.approx(kelvin)
@@ -171,7 +171,7 @@ def test_a_temperature_that_was_not_tested_or_is_not_known_costs_a_stated_amount
         ((15.0, 45.0), None, 30.0, ()),
     ],
 )
-def test_temperatures_to_record_cover_those_in_use(tested, used, reference, needed):
+def test_temperatures_to_record_cover_the_temperatures_in_use(tested, used, reference, needed):
     assert temperatures_to_record(tested, used, reference) == needed
 
 

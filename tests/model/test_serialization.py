@@ -84,7 +84,7 @@ def through_a_file(actuator, path):
 
 
 @given(actuators())
-def test_comes_back_exactly(tmp_path_factory, actuator):
+def test_a_file_restores_every_bit(tmp_path_factory, actuator):
     back = through_a_file(actuator, tmp_path_factory.mktemp("model") / "a.json")
     assert back == actuator and back.identification == actuator.identification
     assert back.slip.breakaway.tobytes() == actuator.slip.breakaway.tobytes()
@@ -146,7 +146,7 @@ def within(data, place):
 
 
 @pytest.mark.parametrize("make", [made, wide])
-def test_every_key_is_needed_and_no_other_is_taken(make):
+def test_a_missing_or_unknown_key_is_refused(make):
     for place in objects(make().as_dict()):
         for key in [*within(make().as_dict(), place), "extra"]:
             data = copy.deepcopy(make().as_dict())
@@ -159,7 +159,7 @@ def test_every_key_is_needed_and_no_other_is_taken(make):
 
 
 @pytest.mark.parametrize("wide", [(0.0, 1000.0), (-50.0, 100.0), (0.0, 102.1), (200.0, 300.0)])
-def test_limits_reach_no_farther_than_records_did(tmp_path, wide):
+def test_limits_wider_than_the_records_are_refused(tmp_path, wide):
     tested = Validity(1e-8, 1e-7, 0.0, 1.1e-5, limits=(0.0, 100.0))
     actuator = with_identification(made(), validity=tested)
     for near in ((0.0, 100.0), (20.0, 30.0), (-2.0, 102.0)):

@@ -45,7 +45,7 @@ def mathematics(folder, number, x):
 
 
 @pytest.mark.parametrize(("number", "kind", "ulps"), [("double", np.float64, 2), ("float", np.float32, 3)])
-def test_its_exponential_and_logarithm(tmp_path, number, kind, ulps):
+def test_exponential_and_logarithm_are_accurate(tmp_path, number, kind, ulps):
     """Within few units in the last place of Python's, from the smallest numbers to where nothing is left."""
     x = np.unique(np.concatenate([np.geomspace(1e-30, 60, 2001), np.linspace(0, 45, 2001)]).astype(kind))
     # About half-way between multiples of ln 2, and where the logarithm changes its form, the reduction is tightest.
@@ -86,7 +86,7 @@ def test_elongations_agree_with_an_ode_solver(closing):
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_the_equation_holds_to_its_rounding(seed):
+def test_elongations_satisfy_the_equation_to_rounding(seed):
     """Wherever knots crowd and whatever slopes meet: no more is left than one rounding of what is held there."""
     rng = np.random.default_rng(seed)
     n, count, m = rng.integers(0, 6), rng.integers(1, 5), rng.integers(2, 40)
@@ -107,7 +107,7 @@ def test_the_equation_holds_to_its_rounding(seed):
     assert np.all(np.abs(actuator.compensate(y, extrapolate=True).voltage - v) <= 2 * rounding)
 
 
-def test_after_a_long_motion_they_are_as_long_as_they_get():
+def test_a_long_motion_gives_the_largest_elongation():
     far = ACTUATOR.compensate([1.0, -1.0, 5e-6], extrapolate=True).state
     top = turned(ACTUATOR, 5e-6)
     plain_records.assert_close(far.smooth, top.smooth, 0.0)
@@ -118,6 +118,6 @@ def test_after_a_long_motion_they_are_as_long_as_they_get():
     assert ACTUATOR.voltage(top) == pytest.approx(float(SPRING(5e-6)) + slipping, rel=1e-14)
 
 
-def test_what_rounding_left_of_a_state_is_taken():
+def test_a_state_with_a_rounding_error_is_accepted():
     long = State(0, [0, 0], smooth=SMOOTH.length * (1 + 1e-12))
     assert ACTUATOR.compensate([0.0], state=long).state.smooth.tolist() == SMOOTH.length.tolist()

@@ -16,7 +16,7 @@ def linear(creep):
     )
 
 
-def test_the_step_of_one_branch_is_an_exponential():
+def test_the_step_response_of_one_branch_of_creep_is_exponential():
     gain, tau = 0.2, 5.0
     time, share = step_response(linear(DisplacementCreep([tau], [gain])))
     # The rise itself lasts a tenth of tau: a ramp, which the low-pass has followed to `z`.
@@ -24,13 +24,13 @@ def test_the_step_of_one_branch_is_an_exponential():
     np.testing.assert_allclose(share, gain * (1 - z) * -np.expm1(-time / tau) / (1 + gain * z), atol=1e-12)
 
 
-def test_the_slope_after_a_turn_is_that_of_all_elements_and_the_spring():
+def test_all_elements_and_the_spring_give_the_slope_after_a_turn():
     actuator = Actuator(GradedSlip([1e-6], [0.0, 5e-6, 10e-6], [[2e6, 4e6]]), Spring([0.0, 10e-6], [0.0, 100.0]))
     sentence = parts_of(actuator)[0].sentence
     assert "12 V/um at 0 um" in sentence and "14 V/um" in sentence
 
 
-def test_resonances_of_theory_section_9():
+def test_the_resonance_agrees_with_section_9_of_the_theory():
     spring = Spring([0.0, 1e-6], [0.0, 10.0])
     free, driven = resonance(Dynamics(100, 0.01, 3e7), spring)
     assert free == pytest.approx(100)
@@ -38,7 +38,7 @@ def test_resonances_of_theory_section_9():
 
 
 @pytest.mark.parametrize("structure", [*structured_records.STRUCTURES.values()])
-def test_every_part_is_told(structure):
+def test_every_part_is_described(structure):
     actuator = structured_records.plant(structure).actuator
     names = {part.name for part in parts_of(actuator)}
     assert ("Transformer" in names) == bool(structure.transformer)

@@ -65,7 +65,7 @@ def test_every_figure_is_there_in_two_formats(folder):
 
 
 @pytest.mark.nightly
-def test_the_page_says_the_results(page, folder, numbers):
+def test_the_page_states_the_results(page, folder, numbers):
     assert read_json(folder / "results.json") == {"format": "dehyst-paper", "version": 1, **numbers}
     rows = [["".join(cell[:1]) for cell in row] for row in page.rows]
     for which, at in (("asymmetric", 0), ("symmetric", 1)):
@@ -82,7 +82,7 @@ def test_the_page_says_the_results(page, folder, numbers):
 
 
 @pytest.mark.nightly
-def test_the_page_stands_alone_and_refers_to_nothing_missing(page, folder):
+def test_the_page_is_self_contained_and_all_its_links_exist(page, folder):
     text = (folder / "index.html").read_text(encoding="utf-8")
     assert page.tags.count("html") == page.tags.count("main") == page.tags.count("h1") == 1
     assert page.tags.count("svg") == len(FIGURES) == page.tags.count("figcaption")
@@ -101,13 +101,13 @@ def test_the_page_stands_alone_and_refers_to_nothing_missing(page, folder):
     assert "default-src 'none'" in text
 
 
-def test_the_virtual_actuator_is_what_the_paper_reports(numbers):
+def test_the_virtual_actuator_has_the_numbers_of_the_paper(numbers):
     assert value(numbers, "asymmetric", "nominal", "actuator") == pytest.approx(13.63, abs=0.05)
     assert value(numbers, "asymmetric", "range", "actuator") == pytest.approx(16.152, abs=0.005)
     assert value(numbers, "asymmetric", "spacing", "breakpoints") == pytest.approx(1.615, abs=0.001)
 
 
-def test_the_papers_method_errs_by_its_first_segment(result, numbers):
+def test_the_error_of_the_paper_s_method_is_in_the_first_segment(result, numbers):
     """A model through every break point misses a branch by what straight segments between them miss."""
     found = result.symmetric
     time, run = found.runs["relaxed"].record.time, found.runs["relaxed"]
@@ -120,7 +120,7 @@ def test_the_papers_method_errs_by_its_first_segment(result, numbers):
         assert value(numbers, "symmetric", loop, "breakpoints") == pytest.approx(missed, rel=0.03)
 
 
-def test_the_whole_record_is_as_good_as_was_asked_where_nothing_is_open_and_the_class_fits(numbers):
+def test_errors_are_within_their_bounds_if_the_record_determines_the_model(numbers):
     for loop, most in (("major", 0.2), ("medium", 0.3), ("small", 0.3), ("tracking", 0.4)):
         assert value(numbers, "symmetric", loop, "record") < most
     for loop in ("medium", "small"):
@@ -139,7 +139,7 @@ def test_the_shift_is_that_of_equation_10(result):
     assert predicted == pytest.approx(result.symmetric.shift.mean(), rel=0.02)
 
 
-def test_errors_start_at_the_first_peak_and_count_every_loop(result):
+def test_errors_are_computed_from_the_first_peak_on_for_every_loop(result):
     run = result.asymmetric.runs["relaxed"]
     spans = [run.known(loop) for loop in experiment.PEAKS]
     assert [run.record.voltage[span].max() for span in spans] == [200.0, 140.0, 70.0]
@@ -150,7 +150,7 @@ def test_errors_start_at_the_first_peak_and_count_every_loop(result):
     assert trial.errors["medium"] == pytest.approx(worst, rel=1e-12)
 
 
-def test_tracking_is_what_the_truth_does_with_the_voltage(result):
+def test_tracking_errors_are_measured_on_the_virtual_actuator(result):
     found = result.asymmetric
     tracking = found.trials["record"].tracking
     assert (tracking.voltage.min(), tracking.voltage.max()) >= (0.0, 0.0)
@@ -271,7 +271,7 @@ def test_the_optimum_is_the_best_of_all_vertices(seed):
     assert np.abs(errors).sum() == pytest.approx(least, rel=1e-9)
 
 
-def test_the_major_loop_alone_is_met_but_leaves_minor_loops_open():
+def test_the_major_loop_alone_does_not_determine_minor_loops():
     major = plain_records.record(PLANT, sampled(plain_records.MAJOR))
     minor = plain_records.record(PLANT, sampled((*plain_records.MAJOR, 0.4, 0, 0.4, 0)), name="minor")
     fit = identify(major, elements=N)
@@ -294,7 +294,7 @@ def falling_spring():
     return Record(np.arange(y.size) / 200, np.array(v), y, "falling")
 
 
-def test_assumption_i_is_imposed_where_the_free_program_violates_it():
+def test_assumption_i_is_imposed_if_the_free_program_violates_it():
     record = falling_spring()
     fit = identify(record, elements=N)
     assert fit.outcome == "ASSUMPTION_I_IMPOSED"
@@ -303,7 +303,7 @@ def test_assumption_i_is_imposed_where_the_free_program_violates_it():
     assert np.all(np.diff(fit.actuator.spring.voltage) > 0)
 
 
-def test_a_spring_that_rises_everywhere_has_nothing_imposed():
+def test_no_constraint_is_imposed_on_a_rising_spring():
     plant = Actuator(PLANT.slip, Spring([0, 0.5 * plain_records.STROKE, plain_records.STROKE], [0, 5.0, 100.0]))
     found = identify(plain_records.record(plant, sampled(plain_records.THREE_LOOPS)), elements=N)
     assert found.outcome == "IDENTIFIED"

@@ -22,7 +22,7 @@ def columns(data):
         yield np.where(codes == 65535, np.nan, stored["low"] + stored["step"] * codes)
 
 
-def test_values_come_back_to_a_65_000th_of_their_range():
+def test_values_are_stored_to_a_65_000th_of_their_range():
     rng = np.random.default_rng(0)
     x, y = rng.normal(size=200), 1e-3 * rng.normal(size=200)
     y[[3, 77]] = np.nan
@@ -36,7 +36,7 @@ def test_values_come_back_to_a_65_000th_of_their_range():
 
 @given(st.integers(0, 99), st.sampled_from([0.0, 1e-3, 0.3]), st.integers(300, 60_000))
 @settings(max_examples=40, deadline=None)
-def test_a_line_keeps_what_its_picture_shows(seed, noise, size):
+def test_a_thinned_line_has_the_same_picture(seed, noise, size):
     """A smooth line stays within a pixel of its samples; of a loud one the extremes of each part stay."""
     rng, most = np.random.default_rng(seed), 600
     x = np.linspace(0, 1, size)
@@ -49,7 +49,7 @@ def test_a_line_keeps_what_its_picture_shows(seed, noise, size):
     assert np.ptp(y[at]) > np.ptp(y) - 0.01
 
 
-def test_long_series_share_what_a_page_holds():
+def test_long_series_share_the_samples_of_a_page():
     x = np.linspace(0, 1, 100_000)
     for count in (1, 12):
         data, noise = ChartData(), np.random.default_rng(1).normal(size=x.size)
@@ -58,7 +58,7 @@ def test_long_series_share_what_a_page_holds():
         assert sum(column.size for column in columns(data)) <= 2 * 8000 * 1.05
 
 
-def test_a_column_that_charts_share_is_stored_once():
+def test_a_column_of_several_charts_is_stored_once():
     x, y = np.arange(5.0), np.arange(5.0) ** 2
     data = ChartData()
     data.add(chart(Series("one", x, y, "measured"), Series("two", x, -y, "simulated")))
@@ -67,7 +67,7 @@ def test_a_column_that_charts_share_is_stored_once():
     assert [[series["x"], series["y"]] for series in json.loads(data.json())["charts"][1]["series"]] == [[0, 1]]
 
 
-def test_names_cannot_end_the_data():
+def test_names_cannot_end_the_script_element():
     data = ChartData()
     data.add(chart(Series("</script><b>&", np.zeros(2), np.ones(2), "ink")))
     text = data.json()
@@ -89,7 +89,7 @@ def test_a_logarithmic_axis_stores_exponents():
     }
 
 
-def test_stems_are_curves():
+def test_stems_are_one_curve_of_vertical_lines():
     (line,) = stems("stiffness", np.array([1.0, 2.0]), np.array([5.0, 6.0]), "measured")
     assert line.x.tolist() == [1, 1, 1, 2, 2, 2]
     assert np.array_equal(line.y, [0, 5, np.nan, 0, 6, np.nan], equal_nan=True)
@@ -97,7 +97,7 @@ def test_stems_are_curves():
 
 
 @pytest.mark.parametrize("values", [[], [2.0], [2.0, 2.0], [np.nan, np.nan]])
-def test_columns_without_a_range(values):
+def test_constant_and_empty_columns_are_stored(values):
     data = ChartData()
     data.add(chart(Series("one", np.array(values), np.array(values), "measured")))
     assert np.array_equal(next(columns(data)), values, equal_nan=True)

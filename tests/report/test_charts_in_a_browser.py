@@ -49,14 +49,14 @@ def middle(canvas):
     return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
 
-def test_every_chart_is_colours(page):
+def test_every_chart_is_drawn_in_colour(page):
     charts = page.locator(".chart canvas:first-child")
     # Before and after, a loop, two residuals, turning points; slip elements.
     assert charts.count() == 6
     assert all(colours(canvas) > 20 for canvas in charts.all())
 
 
-def test_a_drag_enlarges_and_a_double_click_shows_the_whole(page):
+def test_a_drag_enlarges_and_a_double_click_shows_all(page):
     canvas = page.locator("canvas[tabindex]").first
     button = page.get_by_role("button", name="Show all").first
     x, y = middle(canvas)
@@ -78,7 +78,7 @@ def test_a_drag_enlarges_and_a_double_click_shows_the_whole(page):
     assert not button.is_visible()
 
 
-def test_a_series_is_taken_out_by_its_name_in_the_legend(page):
+def test_a_click_in_the_legend_hides_a_series(page):
     figure = page.locator(".figure").first
     key = figure.get_by_role("button", name="straight scale factor")
     before = figure.locator(".chart").screenshot()
@@ -112,7 +112,7 @@ def test_the_dark_page_has_light_curves(browser, file):
     assert shown == {"light": "rgb(255, 255, 255)", "dark": "rgb(22, 24, 27)"}
 
 
-def test_nothing_is_wider_than_a_telephone(browser, file):
+def test_a_report_fits_a_telephone(browser, file):
     page = browser.new_page(viewport={"width": 400, "height": 800})
     page.goto(file.as_uri())
     assert page.evaluate("document.documentElement.scrollWidth") == 400

@@ -56,7 +56,7 @@ def axes():
 
 
 @pytest.mark.parametrize(("name", "kind"), PICTURES)
-def test_it_draws_on_the_given_axes_with_units_and_changes_nothing_global(things, name, kind):
+def test_plot_uses_the_given_axes_and_changes_no_global_setting(things, name, kind):
     from matplotlib import pyplot
 
     before, figures = dict(matplotlib.rcParams), pyplot.get_fignums()
@@ -71,7 +71,7 @@ def test_it_draws_on_the_given_axes_with_units_and_changes_nothing_global(things
     assert pyplot.get_fignums() == figures
 
 
-def test_with_axes_pyplot_is_not_even_loaded():
+def test_with_given_axes_pyplot_is_not_loaded():
     code = (
         "import sys, dehyst, matplotlib.figure as f\n"
         "dehyst.Record([0, 1, 2], [0, 1, 0], [0, 1e-6, 0]).plot('time', ax=f.Figure().subplots())\n"
@@ -81,7 +81,7 @@ def test_with_axes_pyplot_is_not_even_loaded():
     assert done.stdout == "False\n"
 
 
-def test_without_axes_there_is_a_new_figure_of_pyplot_each_time(things):
+def test_without_axes_each_plot_makes_a_new_figure(things):
     from matplotlib import pyplot
 
     backend = matplotlib.get_backend()
@@ -96,7 +96,7 @@ def test_without_axes_there_is_a_new_figure_of_pyplot_each_time(things):
         pyplot.switch_backend(backend)
 
 
-def test_the_record_s_numbers_are_drawn_in_micrometres(things):
+def test_records_are_drawn_in_micrometres(things):
     record = things["record"]
     (line,) = record.plot("loop", ax=axes()).lines
     y = line.get_ydata()
@@ -136,7 +136,7 @@ def test_every_combination_of_parts_is_drawn_and_reported(things, chosen):
     assert render(replace(things["fit"], actuator=actuator)).count("data-chart=") > 6
 
 
-def test_what_cannot_be_drawn_is_refused_before_a_figure_is_made(things):
+def test_an_impossible_picture_is_refused_before_a_figure_is_made(things):
     from matplotlib import pyplot
 
     figures = pyplot.get_fignums()
@@ -151,7 +151,7 @@ def test_what_cannot_be_drawn_is_refused_before_a_figure_is_made(things):
     assert pyplot.get_fignums() == figures
 
 
-def test_without_matplotlib_it_says_what_to_install(things, monkeypatch):
+def test_without_matplotlib_the_error_says_what_to_install(things, monkeypatch):
     for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)

@@ -82,7 +82,7 @@ def text(fit):
     return pages.render(fit, "dehyst identify 'a b.csv' > out && echo")
 
 
-def test_the_page_is_whole(text):
+def test_the_page_has_all_sections_in_order(text):
     page = Page(text)
     assert page.tags.count("html") == page.tags.count("main") == page.tags.count("h1") == 1
     # Before and after; a loop and two residuals a record.
@@ -94,7 +94,7 @@ def test_the_page_is_whole(text):
     assert "Residuals in time" in sight and "<details" not in sight.rpartition("<details>")[0] and "Loops, off" in rest
 
 
-def test_nothing_is_asked_for_from_outside(text):
+def test_the_page_requests_nothing_from_outside(text):
     page = Page(text)
     assert not {"link", "iframe", "object", "embed", "base"} & set(page.tags)
     # A script, named by its hash, and its data; nothing may be evaluated.
@@ -119,7 +119,7 @@ def test_nothing_is_asked_for_from_outside(text):
     [(0.5, Readiness.READY, "green"), (3.0, Readiness.USABLE, "amber"), (6.0, Readiness.NOT_USABLE, "red")],
 )
 @pytest.mark.parametrize("outcome", Outcome)
-def test_colour_follows_the_readiness(outcome, percent, readiness, colour):
+def test_the_colour_follows_the_verdict(outcome, percent, readiness, colour):
     expected = promised(percent)
     text = pages.render(Fit(actuator(), outcome, expected))
     assert expected.readiness is readiness
@@ -130,7 +130,7 @@ def test_colour_follows_the_readiness(outcome, percent, readiness, colour):
     assert (spelled(outcome.value) in words) == (outcome is not Outcome.IDENTIFIED)
 
 
-def test_hostile_names_stay_text():
+def test_hostile_names_are_escaped():
     model = actuator(HOSTILE)
     t = trace(model, HOSTILE, HOSTILE)
     options = {HOSTILE: HOSTILE, "records": [{"name": HOSTILE, "source": HOSTILE}], "more": {"a": [HOSTILE]}}
@@ -151,7 +151,7 @@ def test_the_same_fit_gives_the_same_text_without_matplotlib(monkeypatch, fit, t
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("elements", [1, 2, 40])
 @pytest.mark.parametrize("size", [0, 1, 2, 50])
-def test_small_fits(elements, size):
+def test_a_report_of_a_small_fit_is_written(elements, size):
     model = actuator(elements=elements)
     whole = trace(model, samples=600)
     short = Trace("x", "training", *(z[:size] for z in (whole.time, whole.voltage, whole.measured, whole.simulated)))
@@ -160,7 +160,7 @@ def test_small_fits(elements, size):
     assert len(charts(page)) == MODEL + (4 if size > 1 else 0) + (TURNS if size > 2 else 0)
 
 
-def test_elements_of_zero_stiffness_and_a_residual_of_zero():
+def test_a_report_with_zero_stiffnesses_and_zero_residuals_is_written():
     model = Actuator(MaxwellSlip([1e-7, 2e-7], [0, 0]), Spring([0, 5e-7], [0, 5]))
     voltage = np.linspace(0, 5, 50)
     y = model.simulate(voltage).displacement
@@ -169,7 +169,7 @@ def test_elements_of_zero_stiffness_and_a_residual_of_zero():
     assert '"displacement (nm)"' in text and '"breakaway elongation (nm)"' in text
 
 
-def test_more_records_than_are_drawn():
+def test_at_most_a_fixed_number_of_records_is_drawn():
     model = actuator()
     traces = [trace(model, f"record {i}", samples=100) for i in range(8)]
     page = Page(pages.render(fit_of(*traces, model=model)))
@@ -179,7 +179,7 @@ def test_more_records_than_are_drawn():
 
 
 @pytest.mark.parametrize(("samples", "records"), [(8000, 2), (500_000, 8)])
-def test_size_is_bounded(samples, records):
+def test_the_size_of_a_report_is_bounded(samples, records):
     model = actuator()
     traces = [trace(model, f"{i}", samples=samples, seed=i) for i in range(records)]
     assert len(pages.render(fit_of(*traces, model=model)).encode()) < 120e3
@@ -190,7 +190,7 @@ def test_a_line_is_broken_where_samples_are_missing():
     assert np.isnan(broken(t, 2 * t)).tolist() == [False] * 3 + [True] + [False] * 3
 
 
-def test_write_report(tmp_path, fit, text):
+def test_write_report_replaces_a_file(tmp_path, fit, text):
     path = tmp_path / "report.html"
     path.write_text("old")
     pages.write_report(path, fit, command="dehyst identify 'a b.csv' > out && echo")

@@ -34,7 +34,7 @@ def branches(turns, samples=200):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_major_loop_is_as_high_as_stated_and_as_wide_as_a_piezos(kind):
+def test_the_major_loop_has_the_stated_height_and_the_width_of_a_piezo(kind):
     truth = kind()
     y = slowly(truth, branches([0, 200] * 3 + [0]))
     loop = y[800:]
@@ -48,7 +48,7 @@ def test_the_major_loop_is_as_high_as_stated_and_as_wide_as_a_piezos(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_drive_goes_on_where_the_last_one_ended(kind):
+def test_a_drive_continues_from_the_end_of_the_last_one(kind):
     options = {"creep": 0.02} if kind is PlayActuator else {}
     voltage = branches([0, 200, 30, 120, 0, 170], 37)
     time = np.cumsum(np.random.default_rng(1).uniform(1e-4, 2e-3, voltage.size))

@@ -40,7 +40,7 @@ def hand():
 
 
 @pytest.mark.parametrize("kind", TRUTHS)
-def test_a_recorded_wave_is_what_the_truth_does_with_its_voltages_and_times(kind, hand):
+def test_a_recorded_wave_is_the_motion_of_the_actuator(kind, hand):
     wave = cosine()
     bench = VirtualBench(TRUTHS[kind](), clock=hand, noise=0)
     bench.start(wave, divider=7)
@@ -57,7 +57,7 @@ def test_a_recorded_wave_is_what_the_truth_does_with_its_voltages_and_times(kind
         np.testing.assert_array_equal(displacement, expected)
 
 
-def test_noise_is_the_truths_own_unless_told():
+def test_the_noise_is_that_of_the_actuator_unless_it_is_given():
     def record(**options):
         clock = Hand()
         bench = VirtualBench(PlayActuator(plays=10), clock=clock, **options)
@@ -82,7 +82,7 @@ STEPS = st.one_of(
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(STEPS, max_size=25), st.sampled_from(["play", "boucwen"]), st.sampled_from([None, 500.0]))
-def test_whatever_is_asked_no_voltage_leaves_the_limits(steps, kind, slew):
+def test_no_voltage_leaves_the_limits(steps, kind, slew):
     hand = Hand()
     bench = VirtualBench(TRUTHS[kind](), clock=hand, limits=(-10, 130), slew_rate=slew)
     for what, value in steps:
@@ -108,7 +108,7 @@ def test_whatever_is_asked_no_voltage_leaves_the_limits(steps, kind, slew):
         assert bench.axis.log.steepest <= slew * (1 + 1e-6)
 
 
-def test_the_amplifiers_own_slew_rate_is_kept_by_steps_and_waves(hand):
+def test_steps_and_waves_keep_the_slew_rate_of_the_amplifier(hand):
     bench = VirtualBench(PlayActuator(plays=10), clock=hand, slew_rate=100.0)
     bench.axis.set_voltage(50)
     for passed in (0.1, 0.2, 0.3):
@@ -122,7 +122,7 @@ def test_the_amplifiers_own_slew_rate_is_kept_by_steps_and_waves(hand):
     assert bench.axis.log.steepest <= 100 * (1 + 1e-6)
 
 
-def test_the_recorder_fills_as_the_wave_is_played_and_says_when(hand):
+def test_the_recorder_fills_during_the_wave_and_reports_its_end(hand):
     bench = VirtualBench(PlayActuator(plays=10), clock=hand)
     hand.time = 3.0
     bench.start(np.linspace(0, 100, 11), divider=200)
@@ -151,7 +151,7 @@ def test_a_full_recorder_stops_and_a_long_wave_is_refused(hand):
         bench.start([1, math.nan])
 
 
-def test_open_loop_and_closed_loop_do_not_mix(hand):
+def test_closed_loop_commands_are_refused_in_open_loop(hand):
     bench = VirtualBench(PlayActuator(plays=10), clock=hand)
     bench.axis.servo = True
     for asked in (lambda: bench.axis.set_voltage(1), lambda: bench.start([0, 1])):
@@ -163,7 +163,7 @@ def test_open_loop_and_closed_loop_do_not_mix(hand):
         bench.axis.set_voltage(1)
 
 
-def test_the_sensor_saturates_at_its_range_and_reads_one_number_unplugged(hand):
+def test_the_sensor_saturates_at_its_range_and_is_constant_when_unplugged(hand):
     bench = VirtualBench(PlayActuator(plays=10), clock=hand, sensor_range=(0.0, 4e-6))
     bench.axis.set_voltage(150)
     assert bench.axis.displacement() == 4e-6
@@ -171,7 +171,7 @@ def test_the_sensor_saturates_at_its_range_and_reads_one_number_unplugged(hand):
     assert {bench.axis.displacement() for _ in range(5)} == {0.0}
 
 
-def test_the_actuator_creeps_in_idle_time_and_an_idle_hour_costs_little():
+def test_the_actuator_creeps_in_idle_time_which_is_computed_fast():
     def at_the_end(looks):
         hand = Hand()
         bench = VirtualBench(PlayActuator(plays=40, creep=0.01, noise=0), clock=hand)
@@ -190,7 +190,7 @@ def test_the_actuator_creeps_in_idle_time_and_an_idle_hour_costs_little():
 
 
 @pytest.mark.parametrize("kind", [kind if kind == "play" else at_night(kind) for kind in VIRTUAL])
-def test_a_long_record_takes_seconds_at_most_and_comes_in_lots(kind):
+def test_a_long_record_comes_in_batches_within_seconds(kind):
     protocol = standard.descending_tops(150.0, drive=Sampling(sample_rate=200, frequency=0.1, limits=(0, 200)))
     rig, lots = SimulatedRig(VIRTUAL[kind](), wave_points=5000), []
     began = time.process_time()
@@ -204,13 +204,13 @@ def test_a_long_record_takes_seconds_at_most_and_comes_in_lots(kind):
     assert rig.instrument.axis.log.steepest <= rig.slew_rate * (1 + 1e-6)
 
 
-def test_the_rate_is_one_of_whole_servo_periods():
+def test_a_sample_takes_a_whole_number_of_servo_periods():
     rig = SimulatedRig(PlayActuator(), servo_period=1e-3)
     assert rig.nearest_rate(300.0) == pytest.approx(1000 / 3)
     assert rig.nearest_rate(1e6) == pytest.approx(1000)
 
 
-def test_further_channels_of_a_rig_are_in_its_records_and_must_be_those_it_declares():
+def test_records_have_the_declared_further_channels_of_a_rig():
     course = AgeingCourse(gain=-6, kelvins=30, seconds=2)
     rig = WarmRig(AgeingActuator(PlayActuator(), course), limits=(0, 100))
     wave = Excitation("wave", np.linspace(0, 100, 400), 100.0)

@@ -21,7 +21,7 @@ def waves(samples=400):
     return np.column_stack([50 * (1 - np.cos(turn)), 60 * (1 - np.cos(1.7 * turn))])
 
 
-def test_displacements_are_the_matrix_times_those_of_the_actuators():
+def test_displacements_are_the_matrix_times_the_actuators_displacements():
     v = waves()
     alone = np.column_stack([actuator.play(v[:, j], measured=False) for j, actuator in enumerate(pair())])
     y = VirtualStage(pair(), COUPLING).play(v, measured=False)
@@ -35,7 +35,7 @@ def test_displacements_are_the_matrix_times_those_of_the_actuators():
         ({"coupling": 2 * np.eye(2)}, "need 1 for each axis"),
     ],
 )
-def test_what_does_not_fit_is_refused(change, words):
+def test_a_matrix_or_actuators_of_another_size_are_refused(change, words):
     with pytest.raises(ModelError, match=words):
         VirtualStage(pair(), **change)
 
@@ -51,7 +51,7 @@ def bench(hand, **options):
 
 
 @pytest.mark.parametrize("pause", [0.0131, 0.003, 10.0])
-def test_a_recorded_wave_is_what_the_stage_does_with_its_voltages(pause):
+def test_a_recorded_wave_is_the_motion_of_the_stage(pause):
     hand, v = Hand(), waves()
     stage = bench(hand)
     stage.start({0: v[:, 0], 1: v[:, 1]}, divider=7)
@@ -69,7 +69,7 @@ def test_a_recorded_wave_is_what_the_stage_does_with_its_voltages(pause):
     assert [axis.displacement() for axis in stage.axes] == [stage.samples(axis=j)[2][-1] for j in range(2)]
 
 
-def test_an_axis_that_stands_is_recorded_too():
+def test_an_axis_at_rest_is_recorded_too():
     hand, v = Hand(), waves()
     stage = bench(hand)
     stage.axes[1].set_voltage(30.0)

@@ -51,7 +51,7 @@ def kept(path, speed, acceleration):
 
 
 @given(triangles(), st.floats(0.02, 1.0))
-def test_a_triangle_turns_exactly_and_is_straight_for_its_share(parts, turns):
+def test_a_triangle_reaches_its_ends_and_is_straight_between_the_turns(parts, turns):
     scan = Triangle(**parts, turns=turns)
     path, (up, down) = scan.path(), scan.branches
     assert path.range == (scan.low, scan.high)
@@ -67,7 +67,7 @@ def test_a_triangle_turns_exactly_and_is_straight_for_its_share(parts, turns):
 
 
 @given(triangles(), st.floats(1.001, 50))
-def test_turns_within_an_acceleration_keep_it_and_are_the_shortest(parts, spare):
+def test_turns_keep_the_acceleration_and_are_the_shortest(parts, spare):
     height, seconds = parts["high"] - parts["low"], min(parts["rising"], 1 - parts["rising"]) / parts["frequency"]
     least = height / (EDGE * seconds**2)
     scan = Triangle(**parts, acceleration=spare * least)
@@ -79,7 +79,7 @@ def test_turns_within_an_acceleration_keep_it_and_are_the_shortest(parts, spare)
 
 
 @given(triangles(), st.floats(1e-3, 0.99), st.floats(0.3, 3), st.booleans())
-def test_what_a_refusal_says_is_possible_is(parts, share, pace, free):
+def test_the_frequency_and_height_that_a_refusal_suggests_are_possible(parts, share, pace, free):
     height, seconds = parts["high"] - parts["low"], min(parts["rising"], 1 - parts["rising"]) / parts["frequency"]
     parts.pop("sample_rate")  # 400 a cycle: branches of whole samples are nearly as asked
     limits = {
@@ -95,7 +95,7 @@ def test_what_a_refusal_says_is_possible_is(parts, share, pace, free):
 
 
 @pytest.mark.parametrize("name", SCANS)
-def test_displacement_velocity_and_acceleration_belong_together(name):
+def test_velocity_and_acceleration_are_derivatives_of_the_displacement(name):
     for path in paths(SCANS[name]):
         rows = [np.append(row, row[0]) if path.periodic else row for row in path.rows]
         step = 1 / path.sample_rate
@@ -108,7 +108,7 @@ def test_displacement_velocity_and_acceleration_belong_together(name):
 
 
 @pytest.mark.parametrize("name", SCANS)
-def test_a_periodic_scan_goes_on_where_it_began(name):
+def test_a_periodic_scan_ends_where_it_begins(name):
     for path in paths(SCANS[name]):
         twice = path.repeated(2)
         assert len(twice) == 2 * len(path) + 1 and not twice.periodic
@@ -117,7 +117,7 @@ def test_a_periodic_scan_goes_on_where_it_began(name):
         assert abs(path.displacement[0] - path.displacement[-1]) <= np.abs(path.velocity).max() / path.sample_rate
 
 
-def test_a_raster_stands_still_along_y_on_the_way_forth():
+def test_y_of_a_raster_is_constant_on_the_forward_line():
     scan = SCANS["staircase"]
     x, y, (forth, retrace) = scan.path("x"), scan.path("y"), scan.fast.branches
     for line, level in enumerate(np.linspace(5 * UM, 45 * UM, 6)):
@@ -155,7 +155,7 @@ def test_steps_keep_their_limits(levels, speed, acceleration):
 
 
 @given(st.floats(-1, 1), st.floats(-1, 1), st.floats(0.1, 10))
-def test_a_step_goes_from_rest_to_rest_and_knows_its_peaks(start, end, seconds):
+def test_a_step_begins_and_ends_at_rest_and_states_its_peaks(start, end, seconds):
     step = Step(start, end, seconds)
     travel = step.at(np.linspace(0, seconds, 4001))
     for row, ends in zip(travel, [(start, end), (0, 0), (0, 0)], strict=True):
@@ -188,19 +188,19 @@ def test_a_step_goes_from_rest_to_rest_and_knows_its_peaks(start, end, seconds):
         lambda: ScanPath([0, np.nan], [0, 0], [0, 0], 1),
     ],
 )
-def test_what_cannot_be_is_refused(make):
+def test_impossible_scans_are_refused(make):
     with pytest.raises(RecordError):
         make()
 
 
-def test_steps_take_the_time_that_a_refusal_says():
+def test_steps_are_possible_in_the_time_that_a_refusal_suggests():
     with pytest.raises(RecordError) as refusal:
         Steps((0, UM), 1, edge=0.01, acceleration=1e-3)
     Steps((0, UM), 1, edge=float(re.search(r"try (\S+) s", str(refusal.value))[1]), acceleration=1e-3)
 
 
 @pytest.mark.parametrize("lines, acceleration", [(64, 0.2), (64, 1.0), (9000, 0.01), (9000, 0.002)])
-def test_a_raster_goes_back_in_as_few_lines_as_its_limits_allow(lines, acceleration):
+def test_the_way_back_of_a_raster_takes_the_fewest_lines_that_its_limits_allow(lines, acceleration):
     raster = Raster(2 * UM, 3 * UM, 10, lines, y_high=5e-3, turns=0.7, speed=1.0, acceleration=acceleration)
     y = raster.path("y")
 

@@ -102,7 +102,7 @@ def reversals_of(path):
 
 class TestLaws:
     @given(played())
-    def test_it_turns_where_it_should_and_nowhere_else(self, case):
+    def test_an_excitation_has_exactly_its_turning_points(self, case):
         _, made, path = case
         np.testing.assert_allclose(made.turns, reversals_of(path), rtol=1e-13, atol=1e-13)
         assert made.voltage[-1] == path[-1]
@@ -118,7 +118,7 @@ class TestLaws:
 
     @given(st.data())
     @examples(30, nightly=300)
-    def test_whatever_is_accepted_keeps_the_laws(self, data):
+    def test_any_accepted_numbers_keep_the_laws(self, data):
         """Numbers of any size: refused with a sentence, or played within the laws."""
         anything = st.floats() | log_uniform(1e-14, 1e14) | st.floats(-1e3, 1e3) | st.sampled_from([0.0, 1e6, 5e-324])
         options = {
@@ -136,7 +136,7 @@ class TestLaws:
         check_laws(drive, result)
 
     @given(played())
-    def test_without_a_slew_rate_branches_take_their_time(self, case):
+    def test_without_a_slew_rate_each_branch_takes_half_a_period(self, case):
         drive, made, path = case
         assert not made.warnings or drive.slew_rate is not None
         if made.warnings or made.name == "staircase" or drive.start != drive.base:
@@ -159,7 +159,7 @@ def check_laws(drive, excitation):
 
 
 class TestKinds:
-    def test_the_raised_cosine_is_the_papers(self):
+    def test_the_raised_cosine_is_that_of_the_paper(self):
         """v = v0/2 - v0/2 cos(2 pi t / T0), 200 V at 0.01 Hz."""
         made = raised_cosine(200.0, cycles=3)
         assert len(made) == 1201
@@ -180,7 +180,7 @@ class TestKinds:
         np.testing.assert_array_equal(runs[runs > 1], 121)
         assert made.turns.tolist() == [0, 200, 0]
 
-    def test_staircase_with_steps_back(self):
+    def test_a_staircase_can_have_steps_back(self):
         made = staircase(200.0, steps=4, hold=30.0, back=True)
         held = made.voltage[1:][np.diff(made.voltage) == 0]
         levels = held[np.concatenate([[True], np.diff(held) != 0])]
@@ -199,14 +199,14 @@ class TestKinds:
         slow, fast = speeds[: starts[1]].max(), speeds[held[-1] :].max()
         assert fast > (10 if slew_rate is None else 1.2) * slow
 
-    def test_recommended_is_slower_where_few_samples_resolve_it(self):
+    def test_recommended_is_slower_if_the_sample_rate_is_low(self):
         made = recommended(100.0, drive=Sampling(0.1, sample_rate=4.0))
         assert np.abs(np.diff(made.voltage)).max() < 60 and made.turns.size > 55 and len(made.warnings) == 1
 
 
 class TestRamps:
     @every_kind
-    def test_from_the_present_voltage(self, kind):
+    def test_an_excitation_begins_with_a_ramp_from_the_present_voltage(self, kind):
         plain, ramped = kind(), kind(drive=Sampling(present=-40.0))
         assert ramped.voltage[0] == -40
         if "turns" in kind.keywords:
@@ -219,7 +219,7 @@ class TestRamps:
 
 
 class TestSlewRate:
-    def test_a_branch_that_meets_it_exactly_is_left_alone(self):
+    def test_a_branch_with_exactly_the_slew_rate_does_not_change(self):
         cosine = raised_cosine(200.0, drive=Sampling(slew_rate=2 * math.pi))
         assert (cosine.warnings, cosine.duration) == ((), 100.0)
 
@@ -232,7 +232,7 @@ class TestSlewRate:
 
 class TestLimits:
     @every_kind
-    def test_beyond_the_limits_nothing_is_clipped(self, kind):
+    def test_an_excitation_beyond_the_limits_is_refused(self, kind):
         with pytest.raises(RecordError):
             kind(drive=Sampling(limits=(-10.0, 100.0)))
         assert kind(drive=Sampling(limits=(0.0, 200.0))).voltage.min() >= 0
@@ -260,7 +260,7 @@ class TestLimits:
         {"limits": "ab"},
     ],
 )
-def test_drives(options):
+def test_impossible_samplings_are_refused(options):
     with pytest.raises(RecordError):
         Sampling(**options)
 
@@ -294,7 +294,7 @@ PEAKS = ([], [0.0], -5.0, [10.0, 0.0], [10.0, math.nan], math.inf, "200", [[1.0,
         lambda: Excitation("mine", [1.0, 2.0], 0.0),
     ],
 )
-def test_kinds(make):
+def test_impossible_excitations_are_refused(make):
     with pytest.raises(RecordError):
         make()
 
@@ -308,7 +308,7 @@ def test_kinds(make):
         lambda: staircase(1.0, hold=1e12),
     ],
 )
-def test_too_long_before_memory_is_taken(make):
+def test_a_too_long_excitation_is_refused_before_memory_is_allocated(make):
     tracemalloc.start()
     try:
         with pytest.raises(RecordError):
@@ -325,7 +325,7 @@ def test_voltages_cannot_be_changed_afterwards():
     assert repr(made) == "<Excitation 'raised-cosine': 401 samples, 100 s, 0 to 10 V>"
 
 
-def test_an_own_voltage_is_a_copy():
+def test_an_excitation_copies_the_given_voltage():
     given_away = np.array([0.0, 1.0, 0.5])
     own = Excitation("own", given_away, 4)
     given_away[1] = 9.0

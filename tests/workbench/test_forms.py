@@ -80,7 +80,7 @@ def test_a_path_of_several_axes_is_read_by_their_names(points):
         ("time_s,displacement_um\n0,1\n", "two rising times"),
     ],
 )
-def test_a_text_that_is_no_path_is_refused_with_the_reason(points, text, words):
+def test_a_text_that_is_no_path_is_refused_with_a_reason(points, text, words):
     with pytest.raises(RequestError, match=words) as refused:
         points(text)
     assert "path.csv" not in str(refused.value)
@@ -103,7 +103,7 @@ def record(table=COLUMNS, **about):
         "voltage=U, displacement=3:V*fringe 316.4 nm",
     ],
 )
-def test_a_form_that_is_sent_as_it_is_means_the_columns_it_was_made_from(text):
+def test_an_unchanged_form_gives_the_columns_from_which_it_was_made(text):
     entry = record(columns=text)
     assert columns_of(entry, form_of(entry)["values"]) == text
 
@@ -119,7 +119,7 @@ def test_what_is_suggested_is_marked():
     assert form["values"]["displacement_scale"] == "GAIN um/V" and "displacement_scale" in form["marked"]
 
 
-def test_a_decimal_comma_in_a_scale_is_one():
+def test_a_scale_may_have_a_decimal_comma():
     values = {"displacement_1": "2", "displacement_scale": "2,5 um/V"}
     assert columns_of(record(), values) == "displacement=3*2.5 um/V"
 

@@ -44,7 +44,7 @@ def cookie(client):
 
 
 @pytest.mark.parametrize(("method", "path"), ROUTES)
-def test_without_the_cookie_nothing_is_answered(bench, method, path):
+def test_without_the_cookie_every_request_is_refused(bench, method, path):
     answer = httpx.request(method, bench.base + path, headers={"Origin": bench.base})
     assert answer.status_code == 403
     assert "workbench printed" in answer.text
@@ -99,14 +99,14 @@ def test_the_cookie_is_hidden_from_scripts_and_from_other_sites(bench):
     assert 'rel="icon" href="data:,"' in answer.text
 
 
-def test_the_token_counts_for_the_page_only(bench):
+def test_the_token_admits_only_to_the_page(bench):
     token = bench.link.partition("token=")[2]
     for method, path in ROUTES[1:]:
         joined = f"{path}{'&' if '?' in path else '?'}token={token}"
         assert httpx.request(method, bench.base + joined, headers={"Origin": bench.base}).status_code == 403
 
 
-def test_a_link_lets_browsers_in_and_its_private_file_leads_there(bench):
+def test_the_link_and_the_private_file_admit_a_browser(bench):
     assert [httpx.get(bench.link).status_code for _ in range(2)] == [200, 200]
     page = bench.folder / "open-workbench.html"
     assert page.stat().st_mode & 0o777 == 0o600
@@ -128,7 +128,7 @@ def test_nobody_else_may_read_the_folder(tmp_path, mode):
     again.close()
 
 
-def test_twice_the_same_header_is_refused(bench, client):
+def test_a_repeated_header_is_refused(bench, client):
     for name, value in (("Origin", "http://evil.example"), ("Host", "evil.example")):
         connection = http.client.HTTPConnection("127.0.0.1", bench.port)
         connection.putrequest("GET", "/api/state", skip_host=True)
@@ -142,7 +142,7 @@ def test_twice_the_same_header_is_refused(bench, client):
 @pytest.mark.parametrize(
     "headers", [{}, {"Origin": "http://evil.example"}, {"Origin": "null"}, {"Cookie": "dehyst=1"}], ids=str
 )
-def test_a_socket_from_elsewhere_is_refused(bench, client, headers):
+def test_a_socket_of_another_page_is_refused(bench, client, headers):
     given = dict(headers)
     if "Origin" in headers:
         given["Cookie"] = cookie(client)
@@ -163,7 +163,7 @@ def test_the_socket_of_the_page_gets_the_state(bench, client):
         assert client.get("/api/state").status_code == 200
 
 
-def test_the_policy_lets_the_page_load_from_here_only(client):
+def test_the_policy_allows_only_files_of_the_workbench(client):
     headers = client.get("/").headers
     policy = headers["content-security-policy"]
     assert policy.startswith("default-src 'self'")
@@ -177,7 +177,7 @@ OUTSIDE = r"""../../etc/passwd ..%2f..%2fetc%2fpasswd %2e%2e/%2e%2e/etc/passwd r
 
 
 @pytest.mark.parametrize("path", ["", *OUTSIDE.split()])
-def test_no_path_leads_out_of_the_folder(bench, path):
+def test_no_requested_path_leads_out_of_the_folder(bench, path):
     (bench.folder.parent / "secret.txt").write_text("secret")
     (bench.folder / "records" / ".hidden").write_text("secret")
     link = bench.folder / "records" / "link"
@@ -254,7 +254,7 @@ def test_random_requests_do_no_harm(bench, client, requests):
     assert bench.process.poll() is None
 
 
-def test_the_page_has_all_its_scripts_and_nothing_else_is_beside_them(client):
+def test_the_server_has_exactly_the_scripts_of_the_page(client):
     found, left = set(), {"app.js"}
     while left:
         answer = client.get(f"/page/{left.pop()}")
@@ -267,6 +267,6 @@ def test_the_page_has_all_its_scripts_and_nothing_else_is_beside_them(client):
         assert client.get(path).status_code == 404
 
 
-def test_a_record_to_try_is_made(client, tmp_path):
+def test_the_example_record_can_be_read(client, tmp_path):
     (tmp_path / EXAMPLE).write_bytes(client.get(f"/page/{EXAMPLE}").content)
     assert len(read(tmp_path / EXAMPLE)) > 1000

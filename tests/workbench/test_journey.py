@@ -53,7 +53,7 @@ def visited(tmp_path_factory, loops):
         yield folder, assessed, {"record": record, "model": model, "path": path[0], "exports": exports}, answers
 
 
-def test_a_record_is_what_the_file_holds(visited, loops):
+def test_a_record_has_the_samples_of_its_file(visited, loops):
     _, _, entries, answers = visited
     record = read(loops)
     assert entries["record"]["status"] == "ready"
@@ -74,7 +74,7 @@ def test_a_model_has_a_verdict_and_a_range(visited):
     assert model["range_um"] == [1e6 * end for end in actuator.reach]
 
 
-def test_a_voltage_leads_along_the_path_within_the_limits(visited):
+def test_a_voltage_follows_the_path_within_the_limits(visited):
     folder, state, entries, _ = visited
     assert entries["path"]["status"] == "done"
     voltage = state["voltages"][0]
@@ -99,7 +99,7 @@ def test_exports_are_made(visited):
     assert all((folder / path).exists() for path in listed)
 
 
-def test_a_report_is_shown_without_the_rights_of_the_page(visited):
+def test_a_report_is_shown_without_the_permissions_of_the_page(visited):
     *_, answers = visited
     report = answers["report"]
     assert report.headers["content-type"].startswith("text/html")
@@ -144,7 +144,7 @@ def test_a_folder_with_other_files_is_refused(tmp_path):
     assert status == 2 and "files (thesis.tex)" in err
 
 
-def test_an_end_leaves_no_command_behind_and_loses_nothing(tmp_path, loops):
+def test_after_the_end_no_process_runs_and_the_session_is_saved(tmp_path, loops):
     folder, records, model = tmp_path / "bench", [], None
     for number in (signal.SIGTERM, signal.SIGKILL, None):
         with served(folder) as running, running.client() as client:

@@ -62,7 +62,7 @@ def shortest_way(page, loops):
     return page, clicks, download.value.path().read_text(), time.monotonic() - began
 
 
-def test_the_private_file_leads_a_browser_in(browser, workbench):
+def test_the_private_file_admits_a_browser(browser, workbench):
     deadline = time.monotonic() + 60
     while not workbench.opened.exists() and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -76,7 +76,7 @@ def test_the_private_file_leads_a_browser_in(browser, workbench):
     context.close()
 
 
-def test_an_empty_page_shows_what_a_record_is_and_has_one_to_try(browser, workbench):
+def test_an_empty_page_explains_a_record_and_has_an_example(browser, workbench):
     with visit(browser, workbench) as visitor:
         page = visitor.page
         sample = page.locator(".drop pre")
@@ -152,7 +152,7 @@ def test_points_are_moved_by_pointer_and_by_text(journey):
     assert values(page) == [[0, 3], [0.5, 6.5], [1, 3]]
 
 
-def test_what_cannot_be_reached_is_said_at_once(journey):
+def test_an_unreachable_path_is_reported_at_once(journey):
     page = journey[0]
     page.click("#step-path")
     page.check("input[value=scan]")
@@ -175,7 +175,7 @@ def test_what_cannot_be_reached_is_said_at_once(journey):
     sync_api.expect(page.locator("#plan-words .first")).to_contain_text("of the stroke")
 
 
-def test_a_bad_file_brings_the_form_that_mends_it(journey, loops, tmp_path):
+def test_a_refused_file_gets_a_form_that_corrects_it(journey, loops, tmp_path):
     page = journey[0]
     bad = tmp_path / "bad.csv"
     bad.write_text(loops.read_text().replace("time_s,voltage_V,displacement_um", "when,a,a"))
@@ -199,7 +199,7 @@ def test_a_bad_file_brings_the_form_that_mends_it(journey, loops, tmp_path):
     page.wait_for_selector("#record-list .card:nth-child(2)", state="detached")
 
 
-def test_files_that_cannot_be_read_come_first_and_without_a_form(journey, loops, tmp_path):
+def test_unreadable_files_are_first_in_the_list_without_a_form(journey, loops, tmp_path):
     page = journey[0]
     page.click("#step-records")
     contents = {
@@ -227,7 +227,7 @@ def test_files_that_cannot_be_read_come_first_and_without_a_form(journey, loops,
     page.set_viewport_size({"width": 1400, "height": 900})
 
 
-def test_back_leads_to_the_step_before(journey, workbench):
+def test_the_back_button_opens_the_last_step(journey, workbench):
     page = journey[0]
     page.click("#step-records")
     for step in ("model", "export"):
@@ -242,7 +242,7 @@ def test_back_leads_to_the_step_before(journey, workbench):
 
 
 @pytest.mark.parametrize("width", [1400, 1000, 400])
-def test_nothing_is_wider_than_the_window(journey, width):
+def test_the_page_fits_the_window(journey, width):
     page = journey[0]
     page.set_viewport_size({"width": width, "height": 900})
     for step in STEPS:
@@ -253,7 +253,7 @@ def test_nothing_is_wider_than_the_window(journey, width):
 
 
 @pytest.mark.parametrize("scheme", ["light", at_night("dark")])
-def test_axe_finds_nothing(journey, scheme):
+def test_the_page_passes_the_accessibility_checks_of_axe(journey, scheme):
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="needs axe-playwright-python").Axe()
     page = journey[0]
     page.emulate_media(color_scheme=scheme)
@@ -321,7 +321,7 @@ def test_a_dropped_record_is_drawn_and_its_identification_can_be_cancelled(perso
     assert person.page.locator("#model-body").is_hidden()
 
 
-def test_what_the_page_plans_is_what_the_server_writes(owner, workbench):
+def test_the_page_plans_the_voltages_that_the_server_writes(owner, workbench):
     """The page computes in WebAssembly, the server by the command: on the path they agree."""
     owner.step("Path")
     owner.page.get_by_label("A scan").check()
@@ -372,7 +372,7 @@ def test_a_reload_loses_nothing(owner):
     assert colours(owner.page.locator("#model-body")) > 3
 
 
-def test_coupled_axes_are_read_identified_judged_and_followed(person, bench, tmp_path):
+def test_coupled_axes_are_read_identified_and_compensated(person, bench, tmp_path):
     write_record(tmp_path / "stage.csv", excited()[0])
     person.drop(tmp_path / "stage.csv")
     person.sees("perhaps of coupled axes", within="#records")

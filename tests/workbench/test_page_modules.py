@@ -69,7 +69,7 @@ def loops(samples, noise, cycles=40):
 
 
 @pytest.mark.parametrize(("samples", "noise"), [(5_000, 0.0), (200_000, 0.05), (20_000, 0.3)])
-def test_a_long_path_has_each_step_between_two_pixels_once(run, samples, noise):
+def test_a_long_path_draws_each_pair_of_pixels_once(run, samples, noise):
     x, y = loops(samples, noise)
     curve = 'const curve = pixels({ x: floats("x"), y: floats("y") }, frame);'
     found = np.array(run(f"{curve} print(steps(curve, frame));", x=x, y=y))
@@ -81,7 +81,7 @@ def test_a_long_path_has_each_step_between_two_pixels_once(run, samples, noise):
     assert {*drawn} == {tuple(sorted(map(tuple, pixels[[k, k + 1]].tolist()))) for k in moved}
 
 
-def test_a_path_is_cut_at_missing_values_and_outside(run):
+def test_a_path_is_interrupted_at_missing_values_and_outside_the_view(run):
     run("""
         const pairs = (px, py) => steps({ px, py }, frame);
         assert.deepEqual(pairs([10, 50, NaN, 150, 200], [20, 20, 20, 20, 20]), [[0, 1], [3, 4]]);
@@ -91,7 +91,7 @@ def test_a_path_is_cut_at_missing_values_and_outside(run):
     """)
 
 
-def test_a_curve_over_time_keeps_the_extremes_of_each_column(run):
+def test_a_curve_over_time_keeps_the_extremes_of_each_column_of_pixels(run):
     time = np.linspace(0, 100, 100_000)
     y = np.random.default_rng(3).normal(0, 2, time.size)
     drawn = run(
@@ -114,7 +114,7 @@ def test_a_curve_over_time_keeps_the_extremes_of_each_column(run):
         assert mine.max() == pytest.approx(pixels[columns == column].max(), abs=1e-3)
 
 
-def test_only_the_part_in_view_is_drawn_with_its_neighbours(run):
+def test_only_visible_samples_and_their_neighbours_are_drawn(run):
     run("""
         const x = Float32Array.from({ length: 1000 }, (_, i) => i);
         const near = { ...frame, x0: 500, kx: 40 };
@@ -149,7 +149,7 @@ def test_the_nearest_sample_is_found(run, rising):
         assert index == np.argmin(np.hypot(*(pixels - spot).T))
 
 
-def test_a_path_through_points_is_sampled_as_the_server_does(run):
+def test_page_and_server_sample_points_alike(run):
     points = [[0, 2], [0.2501, 9], [0.25011, 4], [1.0, 3]]
     got = run(f"const {{ time, wanted }} = sampled({points}, 1000); print([[...time], [...wanted]]);")
     time = np.arange(1001) / 1000
@@ -157,7 +157,7 @@ def test_a_path_through_points_is_sampled_as_the_server_does(run):
     assert got[1] == pytest.approx(np.interp(time, *np.array(points).T), abs=1e-12)
 
 
-def test_the_fastest_branch_of_a_voltage_is_that_of_a_promise(run):
+def test_page_and_promise_find_the_same_fastest_branch(run):
     time, random = np.arange(20_000) / 1000, np.random.default_rng(1)
     triangle = 200 * np.abs((2 * time + 0.5) % 1 - 0.5)
     stairs = np.interp(time, np.arange(0, 20, 0.05), np.repeat(random.uniform(0, 100, 200), 2))
@@ -197,7 +197,7 @@ def test_points_stay_in_their_order(run):
     """)
 
 
-def test_modules_become_one_script_without_two_names_that_are_equal(modules):
+def test_modules_become_one_script_with_unique_names(modules):
     script = files.script("report.js")
     assert re.search(r"^(import|export) ", script, re.M) is None
     assert len(re.findall(r"^class Chart ", script, re.M)) == 1
@@ -206,7 +206,7 @@ def test_modules_become_one_script_without_two_names_that_are_equal(modules):
     assert done.returncode == 0, done.stderr
 
 
-def test_numbers_are_written_for_people(run):
+def test_numbers_are_written_with_few_digits_and_units(run):
     run("""
         const values = [0, 0.5, 1234.5, -3.25, 1e-9, null];
         const texts = ["0", "0.5", "1235", "\\u22123.25", "1.00e\\u22129", "\\u2013"];

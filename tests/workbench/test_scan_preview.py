@@ -17,7 +17,7 @@ SCANS = (
 
 
 @pytest.mark.parametrize("scan", SCANS, ids=[scan["kind"] for scan in SCANS])
-def test_the_drawn_path_is_the_one_that_is_compensated(tmp_path, scan):
+def test_the_drawn_scan_is_the_compensated_scan(tmp_path, scan):
     model, output = tmp_path / "model.json", tmp_path / "v.csv"
     Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 12e-6], [0, 100])).save(model)
     path = tmp_path / "path.csv"
@@ -45,7 +45,7 @@ def test_the_drawn_path_is_the_one_that_is_compensated(tmp_path, scan):
         ({"kind": "raster", "low": 2, "high": 8, "frequency": 1, "lines": 3.5}, 1000, "lines"),
     ],
 )
-def test_what_is_no_scan_is_refused_with_its_field(scan, rate, argument):
+def test_an_impossible_scan_is_refused_with_its_field(scan, rate, argument):
     with pytest.raises(DehystError) as refused:
         scan_columns(scan, rate)
     assert refused.value.as_dict()["argument"] == argument

@@ -185,7 +185,7 @@ async def test_a_refused_table_has_the_reason_its_columns_and_no_place_of_the_fo
     assert (entry.status, entry.error, entry.columns, entry.file_columns) == ("ready", None, "voltage=U:V", columns)
 
 
-def test_a_model_that_depends_on_temperature_is_computed_with_on_the_page(tmp_path):
+def test_the_page_computes_with_a_model_that_depends_on_temperature(tmp_path):
     Actuator(MaxwellSlip([], []), Spring([0, 1e-5], [0, 100]), limits=(0, 100), thermal=Thermal(3e-3)).save(
         tmp_path / "m.json"
     )
@@ -390,7 +390,7 @@ async def test_an_old_model_is_checked_by_a_new_record_and_updated_from_it(stage
     assert model.name in made.origin
 
 
-def test_what_ran_when_a_workbench_ended_was_cancelled(tmp_path):
+def test_jobs_that_ran_when_a_workbench_ended_are_cancelled(tmp_path):
     async def first():
         stage = Stage(tmp_path / "bench")
         record = await stage.record()
@@ -445,7 +445,7 @@ def test_points_that_make_no_path_are_refused(tmp_path, points, rate):
     assert not (tmp_path / "path.csv").exists()
 
 
-def test_names_stay_in_the_folder_and_never_replace(folder):
+def test_uploaded_names_stay_in_the_folder_and_replace_no_file(folder):
     for name in ("../../x", ".", "a/b", "\0", "x" * 1000, "my stage (2)"):
         place = folder.new("models", name, ".json")
         assert place.startswith("models/")
@@ -458,7 +458,7 @@ def test_names_stay_in_the_folder_and_never_replace(folder):
     assert names == [f"uploads/{name}" for name in ("loops.csv", "loops-2.csv", "loops", "loops-2", "loops-3")]
 
 
-def test_a_page_that_does_not_read_gets_the_newest_state_only():
+def test_a_slow_page_gets_only_the_newest_state():
     async def run():
         states = iter(range(100))
         events = Events(lambda: {"revision": next(states)})
@@ -477,7 +477,7 @@ def test_a_page_that_does_not_read_gets_the_newest_state_only():
     asyncio.run(run())
 
 
-def test_an_upload_that_ends_early_leaves_nothing(folder):
+def test_an_incomplete_upload_leaves_no_file(folder):
     with pytest.raises(RuntimeError), folder.receive("uploads/a.csv") as upload:
         upload.write(b"half")
         raise RuntimeError

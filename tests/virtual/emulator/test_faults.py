@@ -46,7 +46,7 @@ UNCOUNTED = ("kill", "full")
 CASES = {case.name: case for case in faults.CASES}
 
 
-def test_these_faults_were_rehearsed_and_each_is_looked_at():
+def test_every_rehearsed_fault_is_tested():
     told = json.loads(Path(faults.__file__).with_name("faults.json").read_text())
     assert {name: fault["words"] for name, fault in told.items()} == {case.name: case.words for case in faults.CASES}
     assert {name: fault["status"] for name, fault in told.items()} == {name: said[0] for name, said in SAID.items()}
@@ -59,7 +59,7 @@ PUSHED = ("astray", "interrupt")
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name in PUSHED else pytest.mark.nightly) for name in SAID]
 )
-def test_a_fault(name):
+def test_after_a_fault_status_voltage_and_message_are_right(name):
     found, (status, note) = faults.rehearse(CASES[name]), SAID[name]
     told = "\n".join(found.said)
     assert "Traceback" not in told and 'File "' not in told
