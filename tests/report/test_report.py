@@ -91,7 +91,7 @@ def test_the_page_has_all_sections_in_order(text):
     assert len(ids) == len(set(ids))
     # Headline, before and after, and residuals in time are in sight; one fold holds the rest.
     sight, _, rest = text.partition("<summary>All that was found</summary>")
-    assert "Residuals in time" in sight and "<details" not in sight.rpartition("<details>")[0] and "Loops, off" in rest
+    assert "Residuals in time" in sight and "<details" not in sight.rpartition("<details>")[0] and "Loops, m" in rest
 
 
 def test_the_page_requests_nothing_from_outside(text):
