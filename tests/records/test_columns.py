@@ -110,15 +110,13 @@ NO_COLUMNS = {
     "voltage=a*1e999": "columns",
     "displacement=a*fringe 3 V": "columns",
     "displacement=a*grating -3 um": "columns",
-    "@absent.txt": "",
     3: "columns",
     ("voltage",): "columns",
 }
 
 
 @pytest.mark.parametrize("text", NO_COLUMNS)
-def test_a_text_that_is_none_is_refused(text, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_a_text_that_is_none_is_refused(text):
     with pytest.raises(FileFormatError) as caught:
         Columns.of(text)
     assert caught.value.argument == NO_COLUMNS[text]
@@ -133,12 +131,9 @@ def test_a_text_that_is_none_is_refused(text, tmp_path, monkeypatch):
         Columns(axes={"x": "vx_V:x_um", "y": "vy*2:y:nm*-1 um/um"}, temperature="4:C"),
     ],
 )
-def test_what_is_printed_is_read(columns, tmp_path):
+def test_what_is_printed_is_read(columns):
     assert Columns.parse(str(columns)) == columns
     assert set(columns.entries()) <= {part.name for part in fields(columns)} | {"x", "y"}
-    if columns.entries():
-        columns.save(tmp_path / "columns.txt")
-        assert Columns.parse(f"@{tmp_path / 'columns.txt'}") == columns
 
 
 # Header, columns, and what is proposed.
