@@ -87,7 +87,7 @@ def test_fields_of_a_structure_and_plain_arrays_of_one_name_are_chosen_by_the_us
     assert read(tmp_path / "a.mat", "time=time_s, voltage=old.voltage_V").voltage == pytest.approx(V)
 
 
-# The first line of a record file
+# What a record file states
 
 
 @pytest.mark.parametrize(
