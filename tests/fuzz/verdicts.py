@@ -59,6 +59,7 @@ def verdict(path: str, columns: str) -> dict[str, Any]:
                 "samples": len(record),
                 "ends": [f"{value:.6e}" for pair in ends for value in pair],
                 "ranges": [f"{value:.6e}" for value in ranges],
+                "guessed": sorted(map(str, record.meta.get("guesses", ()))),
                 "remarked": len(record.meta.get("remarks", ())),
                 "proposed": proposed,
             }

@@ -52,7 +52,7 @@ def test_a_record(suffix):
     record = dehyst.read(GOLDEN / f"record-1.{suffix}")
     assert (len(record), record.voltage[15]) == (60, 90.0)
     assert record.displacement[15] == pytest.approx(1.32471428571429e-5, rel=1e-12)
-    assert record.hold == "sample"
+    assert record.meta["guesses"] == {"displacement": "column 'y' in um"}
 
 
 def test_the_path_of_a_scan_and_its_wave_table(tmp_path):
@@ -157,7 +157,7 @@ def of_version_99(path, old, new):
 
 
 def test_another_version_of_records_is_refused(tmp_path):
-    text = of_version_99(tmp_path / "record-1.csv", '{"timing"', '{"version": 99, "timing"')
+    text = of_version_99(tmp_path / "record-1.csv", '{"guesses"', '{"version": 99, "guesses"')
     with pytest.raises(FileFormatError, match=OTHER):
         dehyst.read(text)
 

@@ -7,7 +7,7 @@ import pytest
 from truths import BoucWenActuator, PreisachActuator
 
 from dehyst import Record, RecordError
-from dehyst.records import cleaned, doubts, loops, recorded_slew_rate, signals
+from dehyst.records import cleaned, guesses, loops, recorded_slew_rate, signals
 from dehyst.records.cleaning import spikes
 from dehyst.records.signals import new_samples, sensor_noise
 from dehyst.virtual import PlayActuator
@@ -73,8 +73,8 @@ def test_a_good_record_has_no_cause(mechanism, drive):
         good.check_usable()
         assert good.problems() == ()
         # A unit that is wrong by a thousand is asked about.
-        assert [len(doubts(record(v, k * good.displacement))) for k in (1e-3, 1.0, 1e3)] == [1, 0, 1]
-        assert [len(doubts(record(v, good.displacement, k * RATE))) for k in (1e-3, 1.0)] == [1, 0]
+        assert [len(guesses(record(v, k * good.displacement))) for k in (1e-3, 1.0, 1e3)] == [1, 0, 1]
+        assert [len(guesses(record(v, good.displacement, k * RATE))) for k in (1e-3, 1.0)] == [1, 0]
         assert loops.early_turns(good) == 0
 
 
@@ -252,7 +252,7 @@ def test_overload_readings_are_left_out_before_the_loops_are_judged():
     y[[300, 301, 302]], y[700] = 9999.999e-6, -1e-3
     overloaded = record(V, y)
     overloaded.check_usable()
-    assert doubts(overloaded) == ()
+    assert guesses(overloaded) == ()
     assert np.flatnonzero(spikes(V, y)).tolist() == [300, 301, 302, 700]
     found = cleaned(overloaded)
     assert found.record.stroke == pytest.approx(np.ptp(Y), rel=0.01)

@@ -98,8 +98,10 @@ def test_columns_choose_and_leave_out(tmp_path):
     path = tmp_path / "a.csv"
     rows = np.column_stack([T, V, Y, TEMPERATURE, HUMIDITY]).tolist()
     path.write_text("\n".join(",".join(map(repr, row)) for row in rows))
-    record = read(path, "time=1:s, voltage=2:V, displacement=3:m, temperature=4:C")
+    record = read(path, "time=1:s, voltage=2:V, displacement=3:m, temperature=4:C?")
     assert [channel.column for channel in record.others] == ["temperature_C"]
+    assert record.meta["guesses"] == {"temperature": "column '4' in C"}
+    assert any("guessed, verify" in words for words in record.problems())
     write_columns(path, {**FILE, "temperature_C": TEMPERATURE})
     assert len(read(path, "time=1:s, voltage=2:V, displacement=3:um").others) == 1
 

@@ -26,6 +26,7 @@ RECORDS = {
     "more events than blank cells": Record(T, V, Y, measured=np.arange(T.size) % 3 > 0),
     "all of them": replace(LINES, hold="sample", others=OTHERS),
     "axes": Record(T, np.c_[V, V[::-1]], np.c_[Y, 2 * Y], hold="sample", others=OTHERS),
+    "guesses": Record(T, V, Y, meta={"guesses": {"time": "column '1' in s", "displacement": "column '3' in um"}}),
 }
 
 
@@ -70,6 +71,7 @@ def test_a_file_of_a_record_keeps_all(kind, suffix, tmp_path):
     unit = "m" if suffix == ".npz" else "um"
     again = read(path, f"x=vx_V:x_{unit}, y=vy_V:y_{unit}" if record.axes else None)
     assert_same(again, record, rounding=2 * np.spacing(np.abs(record.displacement).max()))
+    assert again.meta.get("guesses") == record.meta.get("guesses")
 
 
 @given(arrays(float, st.tuples(st.just(2), st.integers(2, 20)), elements=st.floats(-1e6, 1e6)))

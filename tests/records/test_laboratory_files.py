@@ -6,11 +6,11 @@ import laboratory_files
 import numpy as np
 import places
 import pytest
-from laboratory_files import RATE, UM, N, T, V, assert_measured, text
+from laboratory_files import RATE, UM, N, T, V, Y, assert_measured, text
 
 from dehyst._errors import FileFormatError
 from dehyst.records import Columns, read, read_table
-from dehyst.records.tables import joined
+from dehyst.records.tables import ColumnsError, joined
 
 
 def test_what_becomes_of_each_file_trap_and_twin(monkeypatch):
@@ -87,14 +87,26 @@ def test_fields_of_a_structure_and_plain_arrays_of_one_name_are_chosen_by_the_us
     assert read(tmp_path / "a.mat", "time=time_s, voltage=old.voltage_V").voltage == pytest.approx(V)
 
 
-# What a record file states
+# Guesses
+
+
+def test_a_guess_is_kept_until_it_is_verified(tmp_path):
+    np.save(tmp_path / "a.npy", np.array([T, V, Y * 1e6]))
+    with pytest.raises(ColumnsError) as caught:
+        read(tmp_path / "a.npy")
+    record = read(tmp_path / "a.npy", caught.value.proposal)
+    assert record.meta["guesses"].keys() == {"time", "voltage", "displacement"}
+    assert len([words for words in record.problems() if "guessed, verify" in words]) == 3
+    known = read(tmp_path / "a.npy", caught.value.proposal.replace("?", ""))
+    assert_measured(known)
+    assert "guesses" not in known.meta
 
 
 @pytest.mark.parametrize(
-    "line", ["[1]", '{"timing": {"voltage": 1}, "others": 3}', '{"timing": [1]}', "{" * 3000, "\xff", ""]
+    "line", ["[1]", '{"guesses": {"voltage": 1}, "others": 3}', '{"guesses": [1]}', "{" * 3000, "\xff", ""]
 )
-def test_what_is_stated_wrong_is_ignored(line, tmp_path):
+def test_stated_guesses_that_are_none_are_ignored(line, tmp_path):
     rows = "".join(f"{k},{k % 5},{k % 7}\n" for k in range(40))
     table = f"# dehyst-record: {line}\ntime_s,voltage_V,displacement_um\n{rows}"
     (tmp_path / "a.csv").write_text(table, "latin-1")
-    assert read(tmp_path / "a.csv").hold == "line"
+    assert "guesses" not in read(tmp_path / "a.csv").meta

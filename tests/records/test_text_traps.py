@@ -177,6 +177,7 @@ def test_a_header_states_the_step_in_the_notation_of_its_table(tmp_path, header,
         return
     record = read(tmp_path / "a.csv")
     assert record.time[:2] == pytest.approx([0, step])
+    assert "guesses" not in record.meta
 
 
 # Timestamps, and the seconds since the first; or the words of their fault.

@@ -9,7 +9,7 @@ from dehyst.waveforms.scans import SCANS
 from dehyst.workbench.data import RequestError, path_points
 from dehyst.workbench.entries import RecordEntry
 from dehyst.workbench.forms import FORMS, scan_form, scan_kinds
-from dehyst.workbench.reading import columns_of, form_of
+from dehyst.workbench.reading import columns_of, form_of, verified
 
 ACTUATOR = Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0, 1e-5], [0, 100]), limits=(0, 100))
 
@@ -108,12 +108,13 @@ def test_an_unchanged_form_gives_the_columns_from_which_it_was_made(text):
     assert columns_of(entry, form_of(entry)["values"]) == text
 
 
-def test_what_is_suggested_is_marked():
-    entry = record(status="refused", hint="time=1:UNIT, voltage=U:V, displacement=3:um")
+def test_a_suggestion_is_marked_and_a_guess_that_is_taken_remains_one():
+    entry = record(status="refused", hint="voltage=U:V?, displacement=3:um")
     form = form_of(entry)
-    assert form["marked"] == ["time", "voltage_1", "displacement_1", "time_unit"] and form["help"]
-    assert columns_of(entry, form["values"]) == "time=t, voltage=U:V, displacement=3:um"
-    entry = record(status="refused", hint="time=1:s, displacement=3:um*GAIN um/V")
+    assert form["marked"] == ["voltage_1", "displacement_1"] and form["help"]
+    assert columns_of(entry, form["values"]) == "voltage=U:V?, displacement=3:um"
+    assert columns_of(entry, {**form["values"], "voltage_1_unit": "mV"}).startswith("voltage=U:mV,")
+    entry = record(status="refused", hint="time=1:s, displacement=3:um?*GAIN um/V")
     form = form_of(entry)
     assert (form["values"]["time"], form["values"]["voltage_1"]) == ("0", "")
     assert form["values"]["displacement_scale"] == "GAIN um/V" and "displacement_scale" in form["marked"]
@@ -122,6 +123,19 @@ def test_what_is_suggested_is_marked():
 def test_a_scale_may_have_a_decimal_comma():
     values = {"displacement_1": "2", "displacement_scale": "2,5 um/V"}
     assert columns_of(record(), values) == "displacement=3*2.5 um/V"
+
+
+@pytest.mark.parametrize(
+    ("columns", "known"),
+    [
+        ("voltage=U:V?, displacement=3:um*2.5?", "voltage=U:V, displacement=3:um*2.5"),
+        ("voltage=U?*15, displacement=3?:um", "voltage=U*15, displacement=3:um"),
+        ('x=U?:"a, b?"', 'x=U:"a, b"'),
+        ("voltage=is it?here", "voltage=is it?here"),
+    ],
+)
+def test_verified_columns_are_no_guesses(columns, known):
+    assert verified(columns) == known
 
 
 def test_columns_of_coupled_axes_are_paired_by_their_units():

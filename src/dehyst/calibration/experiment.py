@@ -21,7 +21,7 @@ from dehyst.calibration.tracking import PathPlanner, PlannedRun, TrackedPath
 from dehyst.identification import Fit, StageFit, identify
 from dehyst.instruments import AbstractRig
 from dehyst.model import Actuator, Stage
-from dehyst.records import Record, doubts
+from dehyst.records import Record, guesses
 from dehyst.trust import Insight, Recheck, check, insight
 from dehyst.waveforms import Excitation
 
@@ -210,7 +210,7 @@ def _remarks(records: Sequence[Record], checked: Sequence[Recheck], sent: Array)
         low, high = min(map(np.min, warmth)), max(map(np.max, warmth))
         yield f"The rig warmed or cooled during the calibration, from {low:.2f} to {high:.2f} degC in all."
     for j, (axis, recheck) in enumerate(zip(records[-1].axes or ("",), checked, strict=True)):
-        yield from doubts(records[-1].axis(j))
+        yield from guesses(records[-1].axis(j))
         for change in recheck.changed:
             if set(change.parts) <= _DRIFTS:
                 where = f"Axis {axis}, since" if axis else "Since"

@@ -31,7 +31,7 @@ from dehyst.identification.search import Fitted, Trial
 from dehyst.identification.settings import Deadline, Settings
 from dehyst.identification.structure import Structure
 from dehyst.model import Actuator, Identification, Outcome, promised, with_identification
-from dehyst.records import Record, doubts, recorded_slew_rate, resolution, rms
+from dehyst.records import Record, guesses, recorded_slew_rate, resolution, rms
 
 # Least offset of a record, as a part of the voltage range, and least ratio of errors without and with it, that count.
 _OFFSET, _TIMES = 0.02, 3.0
@@ -367,8 +367,8 @@ class _Run:
         first = self.deadline.remarks(words) + messages.of_moved_zeros(trained)
         if self.temperatures is not None and made.frame.motion.thermal is not None:
             first.append(self._warms(made))
-        doubted = [sentence for item in self.items for sentence in doubts(item.record)]
-        first += [" ".join(dict.fromkeys(doubted))] if doubted else []
+        guessed = [sentence for item in self.items for sentence in guesses(item.record)]
+        first += [" ".join(dict.fromkeys(guessed))] if guessed else []
         self.remarks = first + self.remarks + messages.of_rare_voltages(self.training, self.limits)
         for item in self.held_out:
             played = promised(actuator, item.record.voltage)

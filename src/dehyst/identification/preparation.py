@@ -252,9 +252,9 @@ class Prepared:
         return time, curve - curve.mean()
 
     def source(self) -> dict[str, Any]:
-        """Return the source of the record: name, file and hash."""
+        """Return the source of the record: name, file, hash and guesses."""
         meta = self.record.meta
-        return {"name": self.record.name, **{key: meta[key] for key in ("source", "sha256") if key in meta}}
+        return {"name": self.record.name, **{key: meta[key] for key in ("source", "sha256", "guesses") if key in meta}}
 
 
 def behind(record: Record, lag: float) -> Record:

@@ -95,8 +95,9 @@ class _AxisView:
         def origin(quantity: str) -> str:
             key = f"{quantity} of {self.name}" if self.name else quantity
             scale = record.meta.get("scales", {}).get(key)
+            mark = " (guessed, verify)" if {quantity, key} & {*record.meta.get("guesses", ())} else ""
             column = used.get(quantity) or getattr(self.columns, quantity) or quantity
-            return f"'{column}'{f', {scale}' if scale else ''}"
+            return f"'{column}'{f', {scale}' if scale else ''}{mark}"
 
         noise = "" if record.measured is not None else f", noise {digits(record.noise * 1e9)} nm"
         moved = record.displacement[np.isfinite(record.displacement)]
@@ -137,7 +138,7 @@ class _AxisView:
         record = self.record
         return {
             "name": record.name,
-            **{name: record.meta.get(name, {}) for name in ("columns", "scales")},
+            **{name: record.meta.get(name, {}) for name in ("columns", "scales", "guesses")},
             "samples": len(record),
             "sample_rate_Hz": 1 / record.sample_time,
             "duration_s": float(record.time[-1] - record.time[0]),

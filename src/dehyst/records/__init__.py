@@ -6,7 +6,7 @@ from dehyst.records.events import thinned
 from dehyst.records.files import read, read_table, table_of, write_columns, write_record
 from dehyst.records.formats.column import impossible
 from dehyst.records.formats.loaders import GCS_END, GCS_SEPARATORS, LOADERS, gcs_entries
-from dehyst.records.quality import doubts
+from dehyst.records.quality import guesses
 from dehyst.records.record import Record, of_one_axis, reversals
 from dehyst.records.recording import Recording, about_of
 from dehyst.records.signals import (

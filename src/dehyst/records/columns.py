@@ -16,7 +16,7 @@ from dehyst._io import PathLike, path_of
 from dehyst._types import Array
 from dehyst._units import FACTORS, in_si, quantity_of, symbol_of
 from dehyst._validation import Numbers, axis_names, choice
-from dehyst.records.formats.column import GAIN, QUANTITIES
+from dehyst.records.formats.column import GAIN, GUESS, QUANTITIES
 
 # Placeholder for the samples a second.
 RATE = "HZ"
@@ -63,7 +63,7 @@ class Scale(NamedTuple):
         if self.kind:
             return "" if quantity == "displacement" else f"a {self.kind} shows a displacement only"
         if not self.unit:
-            known, own = not unit or quantity_of(unit) in (quantity, "voltage"), QUANTITIES[quantity].unit
+            known, own = not unit or quantity_of(unit) in (quantity, "voltage"), QUANTITIES[quantity].units[0]
             return "" if known else f"a factor for it needs units, {self.factor:g} {own}/{unit}"
         if quantity_of(self.unit) != quantity:
             return f"the scale {self} does not give a {quantity}, need {', '.join(FACTORS[quantity])} before the slash"
@@ -76,7 +76,7 @@ class Scale(NamedTuple):
         """Return a column of a `unit` in SI units of the quantity."""
         if not self.unit and quantity_of(unit) == quantity:
             return np.asarray(self.factor * in_si(data, symbol_of(unit)))
-        to = FACTORS[quantity][symbol_of(self.unit) or QUANTITIES[quantity].unit]
+        to = FACTORS[quantity][symbol_of(self.unit) or QUANTITIES[quantity].units[0]]
         per, unit = symbol_of(self.per or ("V" if quantity_of(unit) == "voltage" else "")), symbol_of(unit)
         known = FACTORS.get(quantity_of(per), {})
         return np.asarray(data * (self.factor * to * (known[unit] / known[per] if unit in known and per else 1.0)))
@@ -86,27 +86,31 @@ def _plain(unit: str) -> str:
     return symbol_of(unit) or unit.strip().strip("[]()").casefold()
 
 
-def split(text: str) -> tuple[str, str, str]:
-    """Return the name, the unit and the scale in ``NAME:UNIT*SCALE``."""
-    name, star, scale = text.strip().rpartition("*")
+def split(text: str) -> tuple[str, str, str, bool]:
+    """Return the name, the unit and the scale in ``NAME:UNIT*SCALE?``, and whether it is a guess."""
+    bare = text.strip()
+    guess, bare = bare.endswith(GUESS), bare.removesuffix(GUESS)
+    name, star, scale = bare.rpartition("*")
     if not star or not (_PERIODIC.fullmatch(scale.strip()) or _FACTOR.fullmatch(scale.strip())):
-        name, scale = text, ""
+        name, scale = bare, ""
+    guess, name = guess or name.endswith(GUESS), name.removesuffix(GUESS)
     name, colon, unit = name.rpartition(":")
-    return (name if colon else unit).strip(), unit.strip() if colon else "", scale.strip()
+    return (name if colon else unit).strip(), unit.strip() if colon else "", scale.strip(), guess
 
 
 class Entry(NamedTuple):
-    """A column as a text selects it: ``NAME:UNIT*SCALE``; a name that is empty selects by the usual names."""
+    """A column as a text selects it: ``NAME:UNIT*SCALE?``; a name that is empty selects by the usual names."""
 
     name: str
     unit: str = ""
     scale: Scale | None = None
+    guess: bool = False
 
     @classmethod
     def of(cls, text: str) -> Self:
         """Return what a text selects; raise `FileFormatError` for a scale that cannot be used."""
-        name, unit, scale = split(text)
-        return cls(name, symbol_of(unit) or unit, Scale.of(scale) if scale else None)
+        name, unit, scale, guess = split(text)
+        return cls(name, symbol_of(unit) or unit, Scale.of(scale) if scale else None, guess)
 
 
 @dataclass(frozen=True)
@@ -119,11 +123,11 @@ class Columns:
     Parameters
     ----------
     time, voltage, displacement, temperature : str, optional
-        ``NAME:UNIT*SCALE``, of which everything but the name is optional. NAME: of the column, or its number, from 1
+        ``NAME:UNIT*SCALE?``, of which everything but the name is optional. NAME: of the column, or its number, from 1
         on; without it, the column is found by its name. UNIT: where the file states none. SCALE: a factor, as that of
         an amplifier whose monitor the column is (100), or a factor with units, that of the quantity and that of the
         column (10 um/V, 25 V/A); or, of a displacement, what a periodic signal repeats: "fringe 316.4 nm", "grating 3
-        um".
+        um". "?": a guess, which the record keeps in ``meta["guesses"]``.
     rate : float, optional
         Samples per second [Hz], in the place of a column of time.
     hold : str, optional

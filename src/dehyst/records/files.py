@@ -78,8 +78,7 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
     time, drive, moved = (first[quantity] for quantity in ("time", *_MEASURED))
     others, left_out = _further_channels(table, [part.column for part in used.values()], len(time.values))
     meta = _origin(table, columns, used, others)
-    told = dict.fromkeys(part.column.remark for part in used.values() if part.column.remark)
-    if remarks := [*table.remarks, *told, *left_out]:
+    if remarks := [*table.remarks, *left_out]:
         meta["remarks"] = remarks
     channels = tuple(channel for channel, _ in others)
     hold: Any = columns.hold or ("sample" if drive.column.timing == "sample" else "line")
@@ -115,6 +114,8 @@ def _origin(
     found |= {channel.name: column.name for channel, column in others}
     if columns.rate is not None:
         found["time"] = f"index / {columns.rate:.9g} Hz"
+    guesses = {quantity: part.guess for quantity, part in used.items()}
+    guesses |= {channel.name: column.guessed for channel, column in others}
     planned = [name for name in table.names if name.endswith(COMPUTED) and columns.displacement is None]
     meta = {
         "source": ", ".join([table.source, *(f"{quantity} {words}" for quantity, words in scales.items())]),
@@ -123,6 +124,7 @@ def _origin(
         "columns": {} if columns.axes else found,
         "scales": scales,
         "computed": planned,
+        "guesses": {quantity: guess for quantity, guess in guesses.items() if guess},
     }
     return {key: value for key, value in meta.items() if value}
 
@@ -166,7 +168,7 @@ def _selected(table: Table, columns: Columns, axis: str) -> dict[str, Selected]:
 def _with_temperature(table: Table, wanted: str) -> Table:
     """Return a table in which the wanted column is the one temperature; raise `FileFormatError` if it has none."""
     known = table.select("temperature", wanted)
-    named = Column("temperature_C", known.values, kept=True)
+    named = Column("temperature_C", known.values, kept=True, guessed=known.guess)
     rest = [column for column in table.columns if column is not known.column and column.role != "temperature"]
     return replace(table, columns=(*rest, named))
 
@@ -208,9 +210,9 @@ def write_record(path: PathLike, record: Record) -> None:
 
     CSV has the columns time_s, voltage_V and displacement_um, an .npz file the arrays time_s, voltage_V and
     displacement_m; with several axes the names are vx_V, x_um and so on. Further channels follow, as temperature_C.
-    A `hold` other than "line", and the names of channels other than temperatures are kept in a comment above the table
-    or in an additional array; cells of the displacement are blank (NaN) where it is not measured. An existing file is
-    replaced; commands replace a measurement with --force only.
+    Guesses from reading (``record.meta["guesses"]``), a `hold` other than "line", and the names of channels other than
+    temperatures are kept in a comment above the table or in an additional array; cells of the displacement are blank
+    (NaN) where it is not measured. An existing file is replaced; commands replace a measurement with --force only.
 
     Raises
     ------
@@ -220,11 +222,18 @@ def write_record(path: PathLike, record: Record) -> None:
     if not isinstance(record, Record):
         need, hint = "a Record", "give the path first, then the record"
         raise FileFormatError(argument="record", got=type(record).__name__, need=need, hint=hint)
+    names: dict[tuple[str, str], str] = {}
+    for channel in record.channels:
+        names["voltage" if channel.role == "drive" else channel.role, channel.axis] = channel.name
+    guesses = {}
+    for quantity, guess in dict(record.meta.get("guesses") or {}).items():
+        role, _, axis = str(quantity).partition(" of ")
+        guesses[names.get((role, axis), str(quantity))] = str(guess)
     timing = {} if record.measured is None else {"displacement": "events"}
     if record.hold == "sample":
         timing |= {channel.name: "sample" for channel in record.channels if channel.role == "drive"}
     others = [channel.column for channel in record.others if channel.role == "other"]
-    stated = {"timing": timing, "others": others}
+    stated = {"guesses": guesses, "timing": timing, "others": others}
     text = json.dumps({key: value for key, value in stated.items() if value}) if any(stated.values()) else ""
     if Path(path).suffix.lower() == ".npz":
         arrays = columns_of(record, "m") | ({MEMBER: np.array(text)} if text else {})

@@ -11,7 +11,7 @@ from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.records import loops
 from dehyst.records.cleaning import FEWEST_NEW, cleaned
-from dehyst.records.formats.column import impossible
+from dehyst.records.formats.column import QUANTITIES, impossible
 from dehyst.records.signals import gaps, new_samples, noise_span, resolution, runs
 
 if TYPE_CHECKING:
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 LARGEST, SHORTEST = 1e30, 1e-30
 # Fewest events from which a loop is identified.
 _LEAST_EVENTS = 60
-# Voltages [V] and strokes [m] that stages have.
-_USUAL = {"voltage": (0.05, 1500.0), "displacement": (5e-9, 2e-3)}
 # Least and largest displacement for each volt [m/V] of stages, also by the input of an amplifier.
 _GAINS = (2e-9, 5e-5)
 # Slowest cycle [s] of a record that is not asked about: milliseconds in place of seconds are slower.
@@ -98,28 +96,31 @@ def other_unit(record: Record) -> str:
     return words or (impossible("displacement", record.stroke) if record.stroke else "")
 
 
-def doubts(record: Record) -> tuple[str, ...]:
-    """Return what to verify of a record: units in which no stage moves."""
+def guesses(record: Record) -> tuple[str, ...]:
+    """Return what to verify of a record: guesses made when it was read, and units in which no stage moves."""
     # Without the readings of an overload.
     driven, moved = (float(np.ptp(np.quantile(v, (0.05, 0.95)))) for v in (record.voltage, record.displacement))
-    found = []
+    doubts = []
     for quantity, span, unit in (("voltage", driven, "V"), ("displacement", moved, "m")):
-        least, most = _USUAL[quantity]
+        least, most = QUANTITIES[quantity].range
         if 0 < span < least or span > most:
             usual = f"{least:g} to {most:g} {unit}"
-            found.append(f"The {quantity} has a range of {span:.3g} {unit}, where a stage has {usual}")
-    if not found and moved and not _GAINS[0] * driven <= moved <= _GAINS[1] * driven:
-        found = [f"The displacement has {moved:.3g} m for {driven:.3g} V, where a stage has 2 nm to 50 um for each"]
+            doubts.append(f"The {quantity} has a range of {span:.3g} {unit}, where a stage has {usual}")
+    if not doubts and moved and not _GAINS[0] * driven <= moved <= _GAINS[1] * driven:
+        doubts = [f"The displacement has {moved:.3g} m for {driven:.3g} V, where a stage has 2 nm to 50 um for each"]
     if (cycle := float(np.ptp(record.time)) / max(len(record.cycles()), 1)) > _SLOWEST:
-        found.append(f"The time has {cycle:.3g} s a cycle")
-    return tuple(f"{words}; check its unit and scale." for words in found)
+        doubts.append(f"The time has {cycle:.3g} s a cycle")
+    return (
+        *(f"The {key} is guessed, verify: {words}." for key, words in record.meta.get("guesses", {}).items()),
+        *(f"{doubt}; check its unit and scale." for doubt in doubts),
+    )
 
 
 def problems(record: Record) -> tuple[str, ...]:
     """Return sentences about suspicious but allowed properties, see `Record.problems`."""
     clean = cleaned(record)
     return (
-        *doubts(record),
+        *guesses(record),
         *_of_samples(record, clean.record),
         *(sentence[0].upper() + sentence[1:] for sentence in clean.sentences),
         *loops.remarks(clean.record),

@@ -99,7 +99,7 @@ class Record(Plotted):
     name : str
         Used in messages.
     meta : mapping
-        Origin of the record: source file, sha256, columns, scales.
+        Origin of the record: source file, sha256, columns, scales; `guesses`: guessed properties by quantity.
     set_aside : tuple of (float, float)
         First and last time [s] of stretches that do not count in a fit or an error.
     axes : sequence of str

@@ -14,14 +14,16 @@ from dehyst._errors import FileFormatError
 from dehyst._types import Array
 from dehyst._units import FACTORS, in_si, quantity_of
 from dehyst._views.lines import span_of
-from dehyst.records.columns import RATE, Columns, Entry, text_of
+from dehyst.records.columns import RATE, Columns, Entry, Scale, text_of
 from dehyst.records.formats.column import (
     GAIN,
+    GUESS,
     QUANTITIES,
     Column,
     impossible,
     is_small,
     listed,
+    plausible_unit,
     shortened,
 )
 
@@ -31,8 +33,6 @@ _UNNAMED = (
 )
 # Names of the axes of a stage: with several of them in a file, "y" is not the displacement.
 _AXES = {"x", "y", "z"}
-# Placeholder for a unit.
-_UNIT = "UNIT"
 # Columns of a file that are compared with one another.
 _MOST = 12
 
@@ -67,18 +67,18 @@ class ColumnsError(FileFormatError):
 
 
 def notes_on(proposal: str) -> list[str]:
-    """Return sentences about proposed columns: what to check, and placeholders to replace."""
+    """Return sentences about proposed columns: placeholders to replace, and guesses."""
     notes = {
         RATE: f"Replace {RATE} by the number of samples a second.",
         GAIN: f"Replace {GAIN} by the number in the data sheet: what one unit of the column is at the actuator, or of "
         "the sensor; 1 if the column holds the actuator's voltage itself.",
-        _UNIT: f"Replace {_UNIT} by the unit of the column, which the file does not state.",
+        GUESS: f"A {GUESS} marks a guess; leave it out once you have verified the column and its unit.",
     }
-    return ["Check the columns, their units and scales.", *(note for mark, note in notes.items() if mark in proposal)]
+    return ["Check units and scales.", *(note for mark, note in notes.items() if mark in proposal)]
 
 
 class Selected(NamedTuple):
-    """The column of a quantity: how it was selected, and its `values` (n,) in SI units.
+    """The column of a quantity: how it was selected, its `values` (n,) in SI units, and what of it is a guess.
 
     Of a periodic signal the values are the signal as it is.
     """
@@ -86,6 +86,7 @@ class Selected(NamedTuple):
     column: Column
     entry: Entry
     values: Array
+    guess: str = ""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -162,7 +163,8 @@ class Table:
             raise FileFormatError(f"{self.source}: {name}: {words}", change=("columns",))
         # The record shares these values.
         values.flags.writeable = False
-        return Selected(column, entry, values)
+        guess = f"{name}{f' in {unit}' if unit else ''}" if entry.guess else ""
+        return Selected(column, entry, values, "; ".join(part for part in (guess, column.guessed) if part))
 
     def fitting(self, quantity: str, wanted: str | None = None) -> int:
         """Return the number of columns that `select` would choose from."""
@@ -218,7 +220,7 @@ def _fault(quantity: str, column: Column, entry: Entry) -> tuple[str, str] | Non
     """Return why a column cannot be read as an entry says, and what to try; None if it can."""
     known, given, stated, named = FACTORS[quantity], entry.unit, column.parts[1], column.contradiction
     unit, name = given or stated, shortened(column.name)
-    to = given if given in known else QUANTITIES[quantity].unit
+    to = given if given in known else QUANTITIES[quantity].units[0]
     scaled = f"give the scale, {quantity}={name}*{GAIN} {to}/{stated or given}"
     way = f"select another column with {quantity}=NAME"
     if column.fault:
@@ -272,7 +274,9 @@ def _proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], u
         if "*" in given.name:
             # The factor that was given is not understood.
             return ""
-        if text := _entry(table, quantity, assigned[quantity], given):
+        if text := _entry(
+            table, quantity, assigned[quantity], given.scale, guessed=quantity not in named or given.guess
+        ):
             entries[quantity] = text
     # A rate would count the rows with a fault as samples.
     faulty = any(error.column for error in problems if error.quantity == "time")
@@ -312,22 +316,26 @@ def _unlikeliness(column: Column, quantity: str) -> int:
     )
 
 
-def _entry(table: Table, quantity: str, column: Column, given: Entry) -> str:
-    """Return the entry that selects a column for a quantity, with the unit and the scale given; or empty."""
-    stated, known, name = column.parts[1], FACTORS[quantity], table.label(column)
-    unit = stated or given.unit
-    if column.contradiction or (quantity == "time" and unit and unit not in known):
+def _entry(table: Table, quantity: str, column: Column, scale: Scale | None, *, guessed: bool) -> str:
+    """Return the entry that selects a column for a quantity, with a given scale; empty where no unit is plausible."""
+    unit, name, known = column.parts[1], table.label(column), QUANTITIES[quantity]
+    guess, factor = GUESS if guessed else "", f"*{scale}" if scale is not None else ""
+    if column.contradiction or (quantity == "time" and quantity_of(unit) not in ("", "time")):
         return ""
-    if not stated and unit in known:
-        name = f"{name}:{unit}"
-    if given.scale is not None:
-        return "" if given.scale.fault(quantity, unit) else f"{name}*{given.scale}"
-    if not unit:
-        return f"{name}:{_UNIT}"
-    if unit not in known:
-        return f"{name}*{GAIN} {QUANTITIES[quantity].unit}/{unit}"
-    plug = quantity == "voltage" and is_small(column.data * known[unit])
-    return f"{name}*{GAIN}" if plug else name
+    if not unit and (scale is None or column.is_channel):
+        # A channel of an oscilloscope holds volts: the guess of any other unit would be wrong.
+        channel = column.is_channel and quantity != "time"
+        monitor = quantity == "voltage" and is_small(column.data)
+        unit = "V" if channel or monitor else plausible_unit(quantity, column.data)
+        name, guess = f"{name}:{unit}", GUESS
+        if not unit:
+            return ""
+    if scale is not None:
+        return "" if scale.fault(quantity, unit) else f"{name}{guess}{factor}"
+    if unit not in FACTORS[quantity]:
+        return "" if quantity == "time" else f"{name}{guess}*{GAIN} {known.units[0]}/{unit}"
+    plug = quantity == "voltage" and (guessed or column.is_plug) and is_small(column.data * FACTORS["voltage"][unit])
+    return f"{name}{guess}*{GAIN}" if plug else f"{name}{guess}"
 
 
 # Part of a sample by which the times of two files may differ and are still the same; steps of one file relative to the

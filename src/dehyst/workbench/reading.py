@@ -14,8 +14,12 @@ from dehyst.workbench.forms import AXES, FORMS, PLAIN, QUANTITIES
 _AXIS = re.compile(r"[A-Za-z]\w*")
 _COUPLED = "The file has {} voltages with displacements, perhaps of coupled axes: check the pairs."
 _SIGNS = {".": "point", ",": "comma"}
-# Placeholders of a number in a suggested scale, and of a unit.
-_GAIN, _UNIT = "GAIN", "UNIT"
+# Marks a guess; a column that nobody verified stays a guess.
+_GUESS = "?"
+# The mark after a column or a unit, in a text of columns.
+_GUESSES = re.compile(r'\?(?=\s*(?:[*:,"]|$))')
+# Placeholder of a number in a suggested scale.
+_GAIN = "GAIN"
 # A typed decimal comma; in a text of columns a comma would begin the next column.
 _COMMA = re.compile(r"(?<=\d),(?=\d)")
 
@@ -34,7 +38,6 @@ def form_of(record: RecordEntry) -> dict[str, Any]:
     for k, (voltage, displacement) in enumerate(found, 1):
         pairs |= {f"voltage_{k}": str(voltage), f"displacement_{k}": str(displacement)}
     marked = [*map(_field, suggested), *(name for name in PLAIN if _GAIN in values[name])]
-    marked += [f"{_field(name)}_unit" for name, text in suggested.items() if text.endswith(f":{_UNIT}")]
     gain = f": {_GAIN} stands for a number" * any(_GAIN in values[name] for name in PLAIN)
     help_ = f"Check the marked fields{gain}." if record.hint else ""
     if many:
@@ -53,6 +56,7 @@ def columns_of(record: RecordEntry, values: Mapping[str, Any]) -> str:
     """
     given = {name: str(value).strip() for name, value in values.items()}
     names = [column["name"] for column in record.file_columns]
+    guesses = {field: text for field, text in _given(record, entries_of(record.hint)).items() if _GUESS in text}
     count = int(given.get("axes", "1")) if given.get("axes", "1") in ("1", "2", "3") else 1
     used: dict[str, str] = {}
     for field in ("time", *(f"{quantity}_{k}" for k in range(1, count + 1) for quantity in QUANTITIES)):
@@ -66,9 +70,10 @@ def columns_of(record: RecordEntry, values: Mapping[str, Any]) -> str:
             raise RequestError("A column is in two fields: choose each column once.")
         place = int(column)
         # Use the number of a column if its name is not unique, or would be read differently.
-        plain = names.count(names[place]) == 1 and split(names[place]) == (names[place], "", "")
+        plain = names.count(names[place]) == 1 and split(names[place]) == (names[place], "", "", False)
         text = (names[place] if plain and "=" not in names[place] else str(place + 1)) + (unit and f":{unit}")
-        used[field] = f"{column} {text}{scale and f'*{scale}'}"
+        guess = _GUESS if guesses.get(field, "").partition("*")[0] == text + _GUESS else ""
+        used[field] = f"{column} {text}{guess}{scale and f'*{scale}'}"
     texts = {field: text.partition(" ")[2] for field, text in used.items()}
     if count > 1 and len(texts) < 2 * count + (not given.get("rate")):
         raise RequestError("Several axes: choose all their columns, and the column of the time.")
@@ -84,6 +89,11 @@ def columns_of(record: RecordEntry, values: Mapping[str, Any]) -> str:
     if sign := given.get("decimal"):
         entries["decimal"] = _SIGNS.get(sign, sign)
     return text_of(entries)
+
+
+def verified(columns: str) -> str:
+    """Return a text of columns without its marks of guesses."""
+    return _GUESSES.sub("", columns)
 
 
 def _field(key: str) -> str:
@@ -105,10 +115,10 @@ def _values(record: RecordEntry, suggested: Mapping[str, str]) -> dict[str, str]
     values = dict.fromkeys(FORMS["reading"], "")
     for field, text in _given(record, suggested).items():
         # A column may have a colon in its name.
-        column, unit, scale = (text, "", "") if text in names else split(text)
+        column, unit, scale, _ = (text, "", "", False) if text in names else split(text)
         number = int(column) if column.isdigit() and column not in names else 0
         values[field] = str(names.index(column)) if column in names else str(number - 1) if number else ""
-        values[f"{field}_unit"] = unit * (unit != _UNIT)
+        values[f"{field}_unit"] = unit
         if scale:
             values[f"{field.rpartition('_')[0]}_scale"] = scale
     given = {**entries_of(record.columns), **suggested}

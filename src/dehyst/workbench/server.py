@@ -23,7 +23,7 @@ from dehyst.workbench import folder as places
 from dehyst.workbench import forms
 from dehyst.workbench.data import RequestError, number_of, packed, path_points, record_columns, scan_columns, wasm
 from dehyst.workbench.folder import Folder
-from dehyst.workbench.reading import columns_of
+from dehyst.workbench.reading import columns_of, verified
 from dehyst.workbench.session import WorkbenchSession
 
 if TYPE_CHECKING:
@@ -258,11 +258,13 @@ class Workbench:
         return {"job": self.session.excite(await body_of(request))}
 
     async def read(self, request: Request) -> Any:
-        """Read a record again: with the text of columns, or with the values of its form."""
+        """Read a record again: with the text of columns, with the values of its form, or with its guesses verified."""
         body, key = await body_of(request), request.path_params["key"]
         columns, values, record = body.get("columns", ""), body.get("form"), self.session.record(key)
         if not isinstance(columns, str) or not isinstance(values, dict | None):
             raise RequestError("columns, form: need a text, or an object with one text for each field")
+        if body.get("verified") is True:
+            columns = verified(record.columns)
         self.session.read_record(key, columns if values is None else columns_of(record, values))
 
     async def record_data(self, request: Request) -> Any:

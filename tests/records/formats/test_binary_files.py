@@ -168,7 +168,7 @@ def test_what_is_read(name, tmp_path):
     assert record.voltage == pytest.approx(V, abs=2e-3)
     assert record.displacement == pytest.approx(Y, abs=1e-9)
     assert record.meta["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
-    assert (record.name, record.meta["source"], "remarks" in record.meta) == (path.stem, name, False)
+    assert (record.name, record.meta["source"], "guesses" in record.meta) == (path.stem, name, False)
 
 
 @pytest.mark.parametrize(
@@ -207,10 +207,10 @@ def test_missing_numbers_are_refused_with_their_row(tmp_path):
         read(tmp_path / "a.h5")
 
 
-def test_pieces_without_times_of_their_own_are_remarked(tmp_path):
+def test_pieces_without_times_of_their_own_are_a_guess(tmp_path):
     for name, starts in (("none", (None, None)), ("same", (0, 0))):
         tdms(*halves(*starts), **PIECES)(tmp_path / f"{name}.tdms")
-        assert "pieces" in " ".join(read(tmp_path / f"{name}.tdms").problems())
+        assert read(tmp_path / f"{name}.tdms").meta["guesses"].keys() == {"time"}
 
 
 def elsewhere(kind, name="displacement_um"):

@@ -22,13 +22,15 @@ class ColumnWords(NamedTuple):
     """Words and units by which the columns of a quantity are found.
 
     `example`: a name that is found. `words`: whole names; `more`: only if the unit is stated too. `parts` and `letters`
-    in names are for proposals. `unit`: that of a bare factor.
+    in names, the usual `units`, and the `range` of piezo stages in SI units, for proposals; others are remarked. A bare
+    factor is in the first of the units.
     """
 
     example: str
     words: str
     parts: str
-    unit: str
+    units: tuple[str, ...]
+    range: tuple[float, float]
     more: str = ""
     letters: str = ""
 
@@ -40,7 +42,8 @@ QUANTITIES = {
         more="timestamp, datetime, date, x_value, x-axis, second, seconds, sec, zeit, temps, tiempo",
         parts="time, zeit, second, temps",
         letters="t",
-        unit="s",
+        units=("s", "ms"),
+        range=(0.0, 1e7),
     ),
     "voltage": ColumnWords(
         example="voltage_V",
@@ -48,7 +51,8 @@ QUANTITIES = {
         more="u, spannung, tension, piezo voltage, drive voltage, output voltage, control voltage",
         parts="volt, spannung, drive, ampl, monitor, command, tension, ao, output, ausgang, current, pressure, dac",
         letters="uv",
-        unit="V",
+        units=("V", "mV"),
+        range=(0.05, 1500.0),
     ),
     "displacement": ColumnWords(
         example="displacement_um",
@@ -56,13 +60,15 @@ QUANTITIES = {
         more="disp, gauge, deflection, elongation, extension, weg, auslenkung, verschiebung",
         parts="disp, pos, weg, auslenk, sensor, gauge, strain, stroke, capac, ai, height, angle, encoder, dehnung",
         letters="yxzdw",
-        unit="um",
+        units=("um", "nm", "mm", "m"),
+        range=(5e-9, 2e-3),
     ),
     "temperature": ColumnWords(
         example="temperature_C",
         words="temperature, temp",
         parts="temp",
-        unit="degC",
+        units=("degC",),
+        range=(0.0, 100.0),
     ),
 }
 # Smallest and largest of what a piezo actuator and its instruments can have, in SI units; the units that smaller and
@@ -73,8 +79,10 @@ _POSSIBLE = {
     "displacement": ("a stroke of", "m", 1e-9, 0.1, ("m", "um")),
     "temperature": ("a temperature of", "degC", COLDEST, HOTTEST, ("K", "K or degF")),
 }
-# The placeholder for a factor.
-GAIN = "GAIN"
+# A stroke of many piezo actuators [m].
+_STROKE = 1e-5
+# The placeholder for a factor, and the end of a selection that is a guess: "y:um?".
+GAIN, GUESS = "GAIN", "?"
 # A quantity and its unit: "Time / s", "Pos/nm", "Weg in µm", "Ch1,V"; in the last brackets.
 _WRITTEN_OUT = re.compile(r"([^/]*[^/\s])(?:\s*/\s*|\s+in\s+|,\s*)([^/\s\[\]()]+)")
 _BRACKETS = re.compile(r"(.*?)[\s_]*[\[(]([^\[\]()]*)[\])]\s*", re.DOTALL)
@@ -85,6 +93,8 @@ _PLUG = re.compile(
     r"analog|ausgang|command|control|monitor|output|regler|salida|sortie|uscita"
 )
 _PLUG_RANGE = 10.5
+# A channel of an oscilloscope or a logger, whose numbers are volts.
+_CHANNEL = re.compile(r"(?:(?:ch|chan|channel|kanal|voie|in|ain|ai|input|analog)[\s_.]*[0-9a-d]|[a-d]\d)(?![^\W_])")
 # Words for a set point, which is not measured.
 _SET_POINT = re.compile(
     r"target|soll|ziel|vorgabe|führungsgr|request|consigne|desired|wanted|nominal|demand|command|reference|(?<![^\W\d_])(?:set|ref|cmd)(?![^\W\d_])|"
@@ -116,6 +126,20 @@ def listed(names: tuple[str, ...]) -> str:
 def is_small(volts: Array) -> bool:
     """Return whether an amplifier's input or monitor can have these voltages [V]."""
     return bool(volts.size and 0 < np.abs(volts).max() <= _PLUG_RANGE)
+
+
+def plausible_unit(quantity: str, data: Array) -> str:
+    """Return the most likely unit in which a column is plausible for a piezo actuator; empty if there is none."""
+    with np.errstate(all="ignore"):
+        size = float(np.abs(data).max(initial=0.0))
+        if quantity == "displacement" and data.size:
+            size = float(np.ptp(data))
+    known = QUANTITIES[quantity]
+    sizes = {unit: size * FACTORS[quantity][unit] for unit in known.units}
+    plausible = [unit for unit, value in sizes.items() if known.range[0] <= value <= known.range[1]]
+    if quantity != "displacement" or 0.01 * _STROKE <= sizes["um"] <= 100 * _STROKE:
+        return plausible[0] if plausible else ""
+    return min(plausible, key=lambda unit: abs(np.log10(sizes[unit] / _STROKE)), default="")
 
 
 def impossible(quantity: str, size: float) -> str:
@@ -156,8 +180,9 @@ class Column:
 
     `name`: as in the file. `data` (n,): its numbers, NaN where a cell is empty. `unit`: unit that the file states
     outside of the name. `fault`: why the column cannot be used, and what to try. `unnamed`: whether the file has no
-    names, and the name is therefore a number. `remark`: what a record says that uses it. `began`: the first timestamp,
-    of a column that has them. `kept`: whether a record keeps it as a further channel, regardless of its name.
+    names, and the name is therefore a number. `guessed`: properties that the file does not state. `began`: the first
+    timestamp, of a column that has them. `kept`: whether a record keeps it as a further channel, regardless of its
+    name.
     `timing`: what a record file states of its samples: "sample" for a voltage that is held, "events" for a displacement
     that is known at events only. `group`: where it is in the file, with a slash behind each level; a part of the name.
     """
@@ -167,7 +192,7 @@ class Column:
     unit: str = ""
     fault: str = ""
     unnamed: bool = False
-    remark: str = ""
+    guessed: str = ""
     began: Moment | None = None
     kept: bool = False
     timing: str = ""
@@ -233,6 +258,11 @@ class Column:
     def is_plug(self) -> bool:
         """Whether it has the name of an output, a monitor or a channel."""
         return _PLUG.search(self.name.lower()) is not None
+
+    @property
+    def is_channel(self) -> bool:
+        """Whether it has the name of a channel of an oscilloscope, and no unit: it holds volts."""
+        return not self.parts[1] and _CHANNEL.match(self.leaf.strip().lower()) is not None
 
     @property
     def is_set_point(self) -> bool:

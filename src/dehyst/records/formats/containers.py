@@ -23,7 +23,7 @@ from dehyst._units import quantity_of, symbol_of
 from dehyst.records.formats.column import Allowance, Column, listed, shortened
 
 # Name of the array of an NPZ, and the beginning of the first line of a text, in which a record file states in JSON
-# "timing" by quantity and the columns of "others"; and the longest such text [bytes].
+# "guesses" and "timing" by quantity and the columns of "others"; and the longest such text [bytes].
 MEMBER = "dehyst-record"
 LINE = f"# {MEMBER}: "
 LONGEST = 4096
@@ -42,13 +42,15 @@ def restored(columns: Sequence[Column], text: str) -> list[Column]:
     """Return the columns of a record file with the properties that the file states; other text is ignored."""
     try:
         stated = dict(json.loads(text or "{}"))
-        timing, others = dict(stated.get("timing", {})), list(stated.get("others", []))
+        guesses, timing = (dict(stated.get(name, {})) for name in ("guesses", "timing"))
+        others = list(stated.get("others", []))
     except (ValueError, TypeError, RecursionError):
         return [*columns]
     demand_version(stated, "this record of dehyst")
     return [
         replace(
             column,
+            guessed=str(guesses.get(column.parts[0], column.guessed)),
             kept=column.kept or column.name in others,
             timing=str(timing.get(column.parts[0], "")),
         )
@@ -265,9 +267,9 @@ def read_tdms(stream: BinaryIO, allowance: Allowance) -> list[Column]:
     if step > 0:
         allowance.take(count, "the time of its waveforms")
         stream.seek(0)
-        remark = _remark_on_segments(stream.read(), waves, step)
+        guess = _guess_of_segments(stream.read(), waves, step)
         with np.errstate(all="ignore"):
-            columns.append(Column("time", start + np.arange(float(count)) * step, "s", remark=remark))
+            columns.append(Column("time", start + np.arange(float(count)) * step, "s", guessed=guess))
     return columns
 
 
@@ -276,7 +278,7 @@ def _channels(file: Any) -> dict[str, Any]:
     return {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
 
 
-def _remark_on_segments(data: bytes, waves: dict[str, Any], step: float) -> str:
+def _guess_of_segments(data: bytes, waves: dict[str, Any], step: float) -> str:
     """Return what is assumed of waveforms that were appended to; raise if that was with a pause."""
     from nptdms import TdmsFile
 
@@ -284,7 +286,7 @@ def _remark_on_segments(data: bytes, waves: dict[str, Any], step: float) -> str:
     changes = [data.rfind(b"TDSm", 0, place) for (_, before), (place, now) in pairwise(stamps) if now != before]
     if not changes:
         appended = any(wave.properties.get("wf_samples", len(wave)) != len(wave) for wave in waves.values())
-        return "The time is that of pieces without a pause between them, which the file does not state." * appended
+        return "its pieces, of wf_samples each, follow one another without a pause" if appended else ""
     first, before = (_channels(TdmsFile.read_metadata(io.BytesIO(data[:end]))) for end in (changes[0], changes[-1]))
     for name in waves.keys() & first.keys():
         passed = (waves[name].properties[_START] - first[name].properties[_START]) / np.timedelta64(1, "s")

@@ -103,6 +103,7 @@ function readyCard(record) {
   const { id, name, samples, seconds, rate_hz: rate, voltage, displacement_um: displacement } = record;
   const { words, problems, others } = record;
   const understood = words?.length > 0 || record.file_columns?.length > 0;
+  const verify = () => server.readRecord(id, { verified: true });
   const role = (label, own) => {
     const onchange = (event) => {
       roles.set(id, event.target.checked ? own : "none");
@@ -119,6 +120,8 @@ function readyCard(record) {
       ...(record.axes.length ? [["Coupled axes", record.axes.join(", ")]] : []),
     ]),
     remarks(problems),
+    record.columns.includes("?") && button("Verified", `verified ${id}`, verify, { "aria-label": `Verified: ${name}` }),
+    problem(`verified ${id}`),
     understood && fold("How the file was understood", list(words), readingForm(record)),
     isOpenQuestion(record) && h("p.question", "What is it for?"),
     h("div.row",

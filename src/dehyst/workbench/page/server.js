@@ -17,7 +17,7 @@ const json = (body) => ({ method: "POST", headers: TYPE, body: JSON.stringify(bo
 const post = async (path, body = {}) => (await request(path, json(body))).json();
 
 export const excite = (body) => post("/api/excitations", body);
-// The body is { columns }, or { form } with the values of the form.
+// The body is { columns }, { form } with the values of the form, or { verified }.
 export const readRecord = (id, body) => post(`/api/records/${id}/read`, body);
 export const identify = (body) => post("/api/models", body);
 // Starts a job with a model ("insight", "check", "update", "follow", "export"), or ends its identification ("end").
