@@ -9,8 +9,8 @@ Its covariance falls with the distance in voltage and in h, and its size grows w
 ages exactly as the columns say. Constants were chosen on aged stages by other mechanisms: `benchmarks/ageing.py`.
 
 The fewest changes are named that leave the others insignificant together. If several sets are as small, their common
-changes are sure, and the rest are one change, as the record cannot separate them. What the named changes leave beyond
-the promise is stated as a change of shape.
+changes are sure, and the rest are one change, as the record cannot separate them; so is a sure one that is not
+significant by itself. What the named changes leave beyond the promise is stated as a change of shape.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ from dehyst._views import lines
 from dehyst.identification import Trace
 from dehyst.records import percent, turning_points
 
-# Least multiple of its standard error from which a change counts. Changes explain a record if the others are not
-# significant at this probability, and they leave at most this multiple of what all leave.
-SIGMAS, TOGETHER, _INSIGNIFICANT, _MORE = 3.0, 2.0, 0.0027, 1.2
+# Least multiple of its standard error from which one of several changes counts, and all that explain a record alike.
+# Changes explain it if the others are not significant at this probability, and they leave at most this multiple of the
+# least that any leave.
+_SIGMAS, _TOGETHER, _INSIGNIFICANT, _MORE = 3.0, 2.0, 0.0027, 1.2
 # Knots of the mean line; blocks of samples; steps of the search for a delay, of which the regression knows one order.
 _KNOTS, _BLOCKS, _STEPS = 24, 400, 4
 # Over which part of the voltages, and of h, the error of a model is alike. The part of a change that does not look like
@@ -69,8 +70,8 @@ class Change:
         The largest error [m] due to the change on a path like the record, with the sign of `value`: apart from a
         constant, as every error is, but for the zero.
     counts : bool
-        Whether the record shows the change, by itself or as one of several: it exceeds three standard errors, several
-        together two, and its effect the least one that counts.
+        Whether the record shows the change, by itself or as one of several: it exceeds three standard errors beside
+        others, two as all that explains the record or as several together, and its effect the least one that counts.
     """
 
     name: str
@@ -154,12 +155,14 @@ def find_changes(trace: Trace, known: Known) -> tuple[Change, ...]:
     fits = (_fitted(loop, known, name) for name in (SLOW if known.slow else (None,)))
     every = min(fits, key=lambda fit: float(fit.left @ fit.left))
     sure, needed = every.needed()
+    whole, least = every.only(needed), _SIGMAS if len(needed) > 1 else _TOGETHER
+    sure = {name for name in sure if whole.change([name], least).counts}
     apart = [name for name in every.names if name in needed - sure]
     found = list[Change]()
     for name in every.names:
-        change = every.only({*(sure if name in apart else needed), name}).change([name])
-        found.append(replace(change, counts=change.counts and name not in apart))
-    found += [every.only(needed).change(apart)] if apart else []
+        change = every.only({*(sure if name in apart else needed), name}).change([name], least)
+        found.append(replace(change, counts=name in sure))
+    found += [whole.change(apart, _TOGETHER)] if len(apart) > 1 else []
     stated = {part for change in found if change.counts for part in change.parts}
     return *found, every.only(stated).shape()
 
@@ -242,23 +245,25 @@ class _ChangeFit:
 
         error = np.sqrt(np.diag(self.covariance))
         sigmas, alike = self.values / error, self.covariance / np.outer(error, error)
-        most, smallest = max(_MORE * self.shape().value, self.known.own), list[set[str]]()
+        enough = list[tuple[set[str], float]]()
         for count in range(len(error), -1, -1):
-            enough = []
             for others in combinations(range(len(error)), count):
                 away, back = sigmas[[*others]], np.linalg.pinv(alike[np.ix_(others, others)], _DEPENDENT, True)
                 if not count or away @ back @ away <= chdtri(count, _INSIGNIFICANT):
-                    enough.append({name for place, name in enumerate(self.names) if place not in others})
-            smallest = smallest or enough
-            if sets := [names for names in enough if not count or self.only(names).shape().value <= most]:
-                break
+                    names = {name for place, name in enumerate(self.names) if place not in others}
+                    enough.append((names, self.only(names).shape().value))
+        most = max(_MORE * min(left for _, left in enough), self.known.own)
+        smallest, sets = (
+            [names for names in some if len(names) == len(some[0])]
+            for some in ([names for names, _ in enough], [names for names, left in enough if left <= most])
+        )
         # If either of two changes makes all others insignificant, the record cannot separate them.
         pairs = [a ^ b for a, b in combinations(smallest, 2) if len(a ^ b) == 2]
         sets += [names ^ pair for names in sets for pair in pairs if len(names & pair) == 1]
         return set.intersection(*sets), set.union(*sets)
 
-    def change(self, parts: list[str]) -> Change:
-        """Return a change, or the common effect of several that the record cannot separate."""
+    def change(self, parts: list[str], least: float) -> Change:
+        """Return a change, or the common effect of several; it counts from `least` standard errors."""
         places, row, most = [self.names.index(part) for part in parts], np.ones(1), 1.0
         away, alone = self.values[places], len(parts) == 1
         if alone:
@@ -269,7 +274,7 @@ class _ChangeFit:
             row = columns[int(np.argmax(np.abs(columns @ away)))]
         value = float(row @ away if alone else abs(row @ away))
         error = float(np.sqrt(row @ self.covariance[np.ix_(places, places)] @ row))
-        counts = abs(value) > (SIGMAS if alone else TOGETHER) * error and abs(value * most) > self.known.least
+        counts = abs(value) > least * error and abs(value * most) > self.known.least
         return Change(_AND.join(parts), value, error, value * most, counts)
 
     def shape(self) -> Change:
@@ -277,7 +282,7 @@ class _ChangeFit:
         left = self.left[_means(self.loop.start.astype(np.float64), self.blocks) < 0.5]
         left, noise = left - left.mean(), self.known.noise / np.sqrt(self.blocks.shape[1])
         size, most = float(np.sqrt(max(np.mean(left**2) - noise**2, 0.0))), float(np.abs(left).max())
-        return Change("shape", size, self.known.own / SIGMAS, most, size > self.known.own and most > self.known.least)
+        return Change("shape", size, self.known.own / _SIGMAS, most, size > self.known.own and most > self.known.least)
 
     @cached_property
     def covariance(self) -> Array:
