@@ -151,7 +151,7 @@ def test_compensate_writes_what_the_library_plans(folder, name, words):
     for axis, own in zip(axes, each, strict=True):
         assert fields[axis]["clamped"] == own.clamped[own.first :].sum()
         assert fields[axis]["promise"]["largest_m"] == pytest.approx(own.promise.largest, rel=1e-9)
-        assert {*own.promise.lines[1:]} <= {warning.removeprefix(f"{axis}: ") for warning in told["warnings"]}
+        assert {*own.promise.lines()[1:]} <= {warning.removeprefix(f"{axis}: ") for warning in told["warnings"]}
     assert {*plan.warnings} <= {*told["warnings"]}
     small = all(own.promise.largest <= 0.05 * own.promise.stroke for own in each)
     assert status == (0 if small and not plan.failure else 1)

@@ -51,7 +51,7 @@ _BEGINS = {
     "unknown": " from an unknown start",
     "top": " from the top after a rise",
     "bottom": " from the bottom after a fall",
-    "fitted": " from its fitted start",
+    "fitted": ", the whole record from its fitted start",
 }
 # Largest number of branches of the records that a model keeps.
 _MOST = 600
@@ -287,15 +287,15 @@ class Promise:
     @property
     def sentence(self) -> str:
         """The promise in words, errors in percent of the stroke."""
-        if self.largest > self.stroke:
-            return f"The model is not usable for {self.path}, which may be missed by more than the stroke."
-        largest, rms_ = (percent(error, self.stroke, goal=USELESS) for error in (self.largest, self.rms))
-        return f"Expect {self.path} to be missed by {largest} of the stroke at most and {rms_} RMS, {self.apart}."
+        return self.lines()[0]
 
-    @property
-    def lines(self) -> tuple[str, ...]:
-        """The promise and each untested property, one sentence each."""
-        return self.sentence, *(condition.sentence for condition in self.untested)
+    def lines(self, goal: float = USELESS) -> tuple[str, ...]:
+        """Return the promise and each untested property, a sentence each; none looks like a `goal` [%]."""
+        largest, rms_ = (percent(error, self.stroke, goal=goal) for error in (self.largest, self.rms))
+        text = f"Expect {self.path} to be missed by {largest} of the stroke at most and {rms_} RMS, {self.apart}."
+        if self.largest > self.stroke:
+            text = f"The model is not usable for {self.path}, which may be missed by more than the stroke."
+        return text, *(condition.sentence for condition in self.untested)
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values without the bound along the path."""

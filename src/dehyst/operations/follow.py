@@ -67,7 +67,7 @@ def follow(
 
     def judge(plan: PathPlan) -> None:
         parts = plan.each or (plan,)
-        for line in known.prefixed(part.promise.lines if part.promise else () for part in parts):
+        for line in known.prefixed(part.promise.lines() if part.promise else () for part in parts):
             run.say(line)
         faults = [part.failure if learn or feedback else fault_of(part) for part in parts]
         words = "; ".join(known.prefixed([fault] if fault else [] for fault in faults))
