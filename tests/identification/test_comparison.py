@@ -133,7 +133,7 @@ def test_the_state_after_half_a_record_predicts_the_other_half(name):
     half = len(record) // 2
     shift = 0.7 if plant.actuator.transformer is None else 0.0
     shifted = Record(record.time, record.voltage + shift, record.displacement, record.name)
-    state, offset = state_after(plant.actuator, shifted[: half + 1], plain_records.STROKE)
+    state, offset = state_after(plant.actuator, shifted[: half + 1])
     assert offset == pytest.approx(shift, abs=1e-6 * plain_records.VOLTS)
     rest = shifted[half:]
     assert left_of(plant.actuator, rest, state, offset) < 1e-4
@@ -145,7 +145,7 @@ def test_the_state_at_the_beginning_predicts_the_record(name):
     plant = wide.plant(wide.STRUCTURES[name])
     record = plant.record()
     rest = record[len(record) // 3 :]
-    state, offset = initial_state(plant.actuator, rest, plain_records.STROKE)
+    state, offset = initial_state(plant.actuator, rest)
     assert left_of(plant.actuator, rest, state, offset) < 1e-2
 
 
@@ -154,7 +154,7 @@ def test_a_record_of_less_than_a_cycle_gives_an_approximate_state(name):
     """The spring and the carts that were dragged along agree with the last voltage; the rest is as in the middle."""
     plant = wide.plant(wide.STRUCTURES[name])
     short = plant.record()[:30]
-    state, offset = state_after(plant.actuator, short, plain_records.STROKE)
+    state, offset = state_after(plant.actuator, short)
     assert state.deformation == short.displacement[-1]
     left = without_offset(plant.actuator, short.voltage[-1:], offset)
     assert plant.actuator.voltage(state) == pytest.approx(left[0], abs=1e-9)

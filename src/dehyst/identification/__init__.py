@@ -13,6 +13,7 @@ from dehyst.identification.comparison import (
     zero_by_voltages,
 )
 from dehyst.identification.coupling import SEPARATE, Plays, StageFit, refuse_still
+from dehyst.identification.events import filled
 from dehyst.identification.expectation import Readiness
 from dehyst.identification.fit import Fit
 from dehyst.identification.frame import FOLDS, part_of, without_offset

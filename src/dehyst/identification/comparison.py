@@ -14,6 +14,7 @@ from dehyst._native import slip_elongations
 from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst.identification.cleaning import disturbs
+from dehyst.identification.events import filled, refilled
 from dehyst.identification.frame import Frame, without_offset, zero_of
 from dehyst.identification.motion import Motion, Parts, moved
 from dehyst.identification.preparation import Prepared, as_list, prepare
@@ -24,8 +25,8 @@ from dehyst.identification.rules import RULES
 from dehyst.identification.solver import ActiveSet
 from dehyst.identification.start_state import StartState, fit_start, fit_strained
 from dehyst.identification.structure import Grid
-from dehyst.model import Actuator, Identification, State, at_reference, major_loop, needs_time, voltages_of
-from dehyst.records import Record, counting, largest, rms, turning_points
+from dehyst.model import Actuator, Identification, State, at_reference, major_loop, needs_time, stroke_of, voltages_of
+from dehyst.records import Record, counting, largest, rms, thinned, turning_points
 
 # Largest number of rows; a longer record is thinned evenly.
 MOST_ROWS = 200_000
@@ -302,13 +303,19 @@ def zero_by_voltages(actuator: Actuator, record: Prepared, stroke: float) -> flo
 def prepare_for(actuator: Actuator, record: Record) -> Prepared:
     """Prepare a record like for an identification: at the reference temperature, without the lag of the sensor.
 
-    Its voltages are moved in time by the lead of the identification.
+    Its voltages are moved in time by the lead of the identification; the model fills what lies between events.
     """
     known = actuator.identification or Identification()
-    measured = at_reference(actuator, record)
+    measured = at_reference(actuator, filled(thinned(record)))
     if known.lead and record.hold == "line":
         measured = earlier(measured, known.lead)
-    return prepare(measured, ringing=known.ringing).without_lag(known.sensor_lag)
+    prepared = prepare(measured, ringing=known.ringing).without_lag(known.sensor_lag)
+    if record.measured is None:
+        return prepared
+    stroke = stroke_of(actuator)
+    compared = compare(actuator, prepared, stroke, zero=zero_by_voltages(actuator, prepared, stroke))
+    trace = errors_of(actuator, compared, "validation")[1]
+    return prepared.changed(lambda piece: refilled(piece, trace.time, trace.simulated).displacement)
 
 
 def earlier(record: Record, seconds: float) -> Record:
@@ -318,34 +325,25 @@ def earlier(record: Record, seconds: float) -> Record:
 
 
 def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple[RecordComparison, ...]:
-    """Compare an actuator with records, with the options of its identification.
-
-    Percentages refer to the stroke of the promise; without a promise, to the range of the widest loop of the records.
-    """
+    """Compare an actuator with records, by the options of its identification and as parts of its stroke."""
     prepared = [prepare_for(actuator, record).with_block(len(record) / MOST_ROWS) for record in as_list(records)]
     known = actuator.identification or Identification()
-    spans = (high - low for low, high in (item.span() for item in prepared))
-    stroke = max(spans) if known.validity is None else known.validity.stroke
-    zero = 0.0 if known.shared_zero else None
+    zero, stroke = 0.0 if known.shared_zero else None, stroke_of(actuator)
     with one_thread():
         return tuple(
             compare(actuator, item, stroke, zero=zero, drifting=known.drift and item.can_drift) for item in prepared
         )
 
 
-def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -> tuple[State, float]:
+def state_after(actuator: Actuator, lead: Record) -> tuple[State, float]:
     """Return the state at a record's last sample, on the model's axis, and the offset of the record's voltages [V].
 
     The record's displacements determine the state and the shift of its sensor's zero; the offset is fitted by least
     squares over the samples that count. If no sample counts, because the record is too short or has no full cycle, the
     offset is taken from its last sample, and the remaining uncertainty of the carts is ignored.
-
-    `actuator`: the model. `lead`: the record before the state. `stroke` [m]: range of the widest training loop;
-    default: the range between the limits of the actuator.
     """
-    stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
     try:
-        compared = compare(actuator, prepare_for(actuator, lead), stroke)
+        compared = compare(actuator, prepare_for(actuator, lead), stroke_of(actuator))
         own, pieces = compared.source.epochs[-1], compared.source.pieces
     except ValueError:
         own = []
@@ -372,18 +370,15 @@ def state_after(actuator: Actuator, lead: Record, stroke: float | None = None) -
     return state, given - held if tau is None else float(tau(given) - tau(held))
 
 
-def initial_state(actuator: Actuator, record: Record, stroke: float | None = None) -> tuple[State, float]:
+def initial_state(actuator: Actuator, record: Record) -> tuple[State, float]:
     """Return the state at a record's beginning, on the model's axis, and the offset of the record's voltages [V].
 
     Simulations of the record start from this state, see `RecordErrors.starts`: its carts, creep strains and smooth
     elongations explain the first voltages best (`fit_start`).
 
-    `actuator`: the model. `record`: the record that began in the state. `stroke` [m]: range of the widest training
-    loop; default: the range between the actuator's limits. Raise `RecordError` if the record is too short.
+    Raise `RecordError` if the `record` is too short to be compared.
     """
-    stroke = float(np.ptp(actuator.reach)) if stroke is None else stroke
-    compared = compare(actuator, prepare_for(actuator, record), stroke)
-    return compared.start_of(actuator, 0)[:2]
+    return compare(actuator, prepare_for(actuator, record), stroke_of(actuator)).start_of(actuator, 0)[:2]
 
 
 def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tuple[RecordErrors, Trace]:

@@ -154,7 +154,7 @@ class Prepared:
             return np.asarray(piece.displacement + lag * rate)
 
         known = self if self.lead is None or len(self.lead) >= _SHORTEST else replace(self, lead=None)
-        made = known._changed(before)
+        made = known.changed(before)
         sentence = f"{self.name}: the given lag of the sensor, {1e3 * lag:.4g} ms, was removed from the displacements."
         return replace(made, noise=made.record.noise, sentences=(*self.sentences, sentence))
 
@@ -165,11 +165,11 @@ class Prepared:
         """
         time, y = self.with_lead
         m = part.removed(time, y, start)
-        return self._changed(lambda piece: np.interp(piece.time, time, m), time[0])
+        return self.changed(lambda piece: np.interp(piece.time, time, m), time[0])
 
     def without_drift(self, drift: float) -> Prepared:
         """Return the record without a drift [m per unit of its drift curve]."""
-        return self._changed(lambda piece: piece.displacement - drift * self.drift_curve(piece))
+        return self.changed(lambda piece: piece.displacement - drift * self.drift_curve(piece))
 
     def at_reference(self, thermal: Thermal) -> Prepared:
         """Return the record corrected to the reference temperature; unchanged if it has no temperature."""
@@ -178,9 +178,9 @@ class Prepared:
             temperature = piece.temperature
             return piece.displacement if temperature is None else thermal.at_reference(piece.displacement, temperature)
 
-        return self._changed(before)
+        return self.changed(before)
 
-    def _changed(self, displacement: Callable[[Record], Array], first: float = -np.inf) -> Prepared:
+    def changed(self, displacement: Callable[[Record], Array], first: float = -np.inf) -> Prepared:
         """Return a copy with other displacements; a lead that begins before `first` [s] is left out."""
 
         def before(piece: Record) -> Record:

@@ -14,9 +14,9 @@ from dehyst._errors import IdentifyError, RecordError
 from dehyst._threads import one_thread
 from dehyst._types import Array, Mask, Progress
 from dehyst._views.fields import json_value, json_values
-from dehyst.identification import Prepared, distinct, epochs, identify, prepare, state_after, without_offset
+from dehyst.identification import Prepared, distinct, epochs, filled, identify, prepare, state_after, without_offset
 from dehyst.model import AbstractModel, Actuator, simulated, timed
-from dehyst.records import Record, largest, percent, rms
+from dehyst.records import Record, counting, largest, percent, rms, thinned
 from dehyst.trust.baselines import Linear, TwoBranches
 
 # A function of training records that returns the model, or raises an error that states why there is none.
@@ -152,14 +152,9 @@ class ModelComparison:
 
 def contenders() -> dict[str, Identification]:
     """Return all models by name as functions: dehyst's, what is done without it, those of installed packages."""
-    own = _own()
-    return own | {name: fit for name, fit in _added().items() if name not in own}
-
-
-def _own() -> dict[str, Identification]:
-    """Return the models of this package."""
     ours = {OURS: lambda records: identify(records, structure="auto").actuator}
-    return {**ours, "two branches": TwoBranches.fit, "linear ratio": Linear.fit}
+    own: dict[str, Identification] = {**ours, "two branches": TwoBranches.fit, "linear ratio": Linear.fit}
+    return own | _added() | own
 
 
 def _added() -> dict[str, Identification]:
@@ -209,8 +204,8 @@ def compare(
     IdentifyError
         If there is no record, one is given twice, or no part of a record can be held out.
     """
-    training, given = distinct(records, validate)
-    held_out = [Played(prepare(record)) for record in given]
+    training, given = ([*map(thinned, some)] for some in distinct(records, validate))
+    held_out = [Played(prepare(filled(record))) for record in given]
     if not given:
         training, held_out = _kept_apart(training)
     fits, report = contenders() if models is None else models, progress or (lambda _: None)
@@ -223,6 +218,8 @@ def scored(
     training: list[Record], held_out: list[Played], fits: Mapping[str, Identification], progress: Progress
 ) -> tuple[tuple[ModelScore, ...], float]:
     """Fit and score every model; return a row for each, and the training stroke [m]; errors as `compare`."""
+    # Some models are fitted to all samples, also between events.
+    training = [*map(filled, training)]
     played = [*(Played(prepare(record), "training") for record in training), *held_out]
     stroke = max(high - low for low, high in (part.item.span() for part in played[: len(training)]))
     for part in held_out:
@@ -237,7 +234,7 @@ def _kept_apart(records: list[Record]) -> tuple[list[Record], list[Played]]:
     training, held_out = [], list[Played]()
     for record in records:
         lead = _TRAINING_PART * float(record.time[-1] - record.time[0])
-        whole = Played(prepare(record), lead=lead)
+        whole = Played(prepare(filled(record)), lead=lead)
         usable = bool(whole.counted())
         try:
             first = record[: int(np.searchsorted(record.time, record.time[0] + lead, side="right"))]
@@ -270,8 +267,7 @@ class Played(NamedTuple):
         """Return the errors of a model [% of the stroke]."""
         item, delay = self.item, float(getattr(model, "delay", 0.0))
         residuals = [
-            _residual(model, piece, kept, item.noise, stroke if self.lead else None)
-            for piece, kept in self.counted(delay)
+            _residual(model, piece, kept, item.noise, lead=self.lead > 0) for piece, kept in self.counted(delay)
         ]
         error = np.concatenate([np.zeros(0), *residuals])
         if not error.size:
@@ -290,19 +286,21 @@ class Played(NamedTuple):
             for epoch in epochs(piece, self.item.noise)[-1:]:
                 kept[epoch.start : epoch.stop] = True
             kept &= piece.time >= self.item.start + self.lead
+            if (own := counting(piece)) is not None:
+                kept &= own
             if kept.any():
                 counted.append((piece, kept))
         return counted
 
 
-def _residual(model: AbstractModel, piece: Record, kept: Mask, noise: float, stroke: float | None) -> Array:
+def _residual(model: AbstractModel, piece: Record, kept: Mask, noise: float, *, lead: bool) -> Array:
     """Return measured minus simulated displacement of the samples that count, simulated from the first sample.
 
-    If `stroke` [m] is given, there is a lead-in, and the residual is on the axis found from the samples in it.
+    With a `lead`, the residual is on the axis found from the samples before these.
     """
-    before = 0 if stroke is None else int(np.argmax(kept))
+    before = int(np.argmax(kept)) if lead else 0
     if before and isinstance(model, Actuator):
-        state, offset = state_after(replace(model, delay=0.0), piece[: before + 1], stroke)
+        state, offset = state_after(replace(model, delay=0.0), piece[: before + 1])
         rest = piece[before:]
         voltage = without_offset(model, rest.voltage, offset)
         motion = model.simulate(voltage, state=state, **timed(model, rest.time))
@@ -321,8 +319,6 @@ def _row(
     """Fit one model and score it; report a failure as a sentence."""
     progress(f"fitting {name}")
     row, begin = ModelScore(name), time.perf_counter()
-    # Models of others may fail in any way.
-    failing = _FAILURES if name in _own() else Exception
     try:
         model = fit(list(training))  # A copy, as a function of others may change it.
         if not all(callable(getattr(model, name, None)) for name in ("simulate", "compensate")):
@@ -330,8 +326,8 @@ def _row(
         row = replace(row, seconds=time.perf_counter() - begin)
         progress(f"simulating {name}")
         return replace(row, scores=tuple(record.score(model, stroke) for record in played))
-    except failing as error:
-        # With its type for an error of foreign code.
+    except Exception as error:
+        # Models of others may fail in any way: with its type for an error of foreign code.
         words, kind = str(error), type(error).__name__
         known = bool(words) and isinstance(error, _FAILURES)
         return replace(row, failure=words if known else f"{kind}: {words}".removesuffix(": "))

@@ -8,7 +8,6 @@ from typing import Any, overload
 import numpy as np
 
 from dehyst._errors import IdentifyError, ModelError
-from dehyst._text import counted
 from dehyst._threads import one_thread
 from dehyst._types import Array
 from dehyst._views import lines
@@ -94,14 +93,14 @@ class Update:
     @property
     def sentence(self) -> str:
         """The result and its numbers in one line: whether the model is another one, and whether it is good enough."""
-        lengths = self.held_out[1], self.before[1], self.recheck.without_noise
-        held, old, most = (lines.percent(length, self.recheck.stroke) for length in lengths)
+        lengths, goal = (self.held_out[1], self.before[1], self.recheck.without_noise), self.recheck.goal
+        held, old, most = (lines.percent(length, self.recheck.stroke, *lengths, goal=goal) for length in lengths)
         text = f"Updated: the RMS error is {held} of the stroke on parts held out, where the old model has {old}."
         if not self.used:
             kept = "which its promise allows: it stays" if self.recheck.kept else "which its promise now counts"
             text = f"Not updated: no other model predicts the record better. The old one misses it by {most}, {kept}."
         more = f": `{self.recheck.to_record}` shows more" if self.recheck.to_record else ""
-        return text if self.good else f"{text} The goal of {self.recheck.goal:g} % on any path is not met{more}."
+        return text if self.good else f"{text} The goal of {goal:g} % on any path is not met{more}."
 
     @property
     def promise(self) -> Promise | None:
@@ -187,10 +186,6 @@ def update(model: Actuator | Stage, record: Record, *, goal: float | None = None
     IdentifyError
         If the record clearly belongs to another actuator, no sample counts, or an argument is of another type.
     """
-    if not isinstance(model, Actuator | Stage):
-        raise IdentifyError(argument="model", got=type(model).__name__, need="an Actuator or a Stage")
-    if not isinstance(record, Record):
-        raise IdentifyError(argument="record", got=type(record).__name__, need="a record, as of dehyst.read(path)")
     if isinstance(model, Actuator):
         return _update_actuator(model, record, goal)
     changes = check(model, record, goal=goal).changes
@@ -226,8 +221,9 @@ class _Refit:
         """Update, and judge."""
         self.old = self._stretched()
         made, held_out_models = self._solved(self.old)
-        if self.old.displacement_creep is not None:
-            # Creep from before the record is known by the updated model.
+        if self.old.displacement_creep is not None or self.record.measured is not None:
+            # The updated model knows the creep from before the record, and what lies between events.
+            self.prepared = prepare_for(made, self.record)
             made, held_out_models = self._solved(made)
         before, after = self._error(self.recheck.trace), self._error(self._trace(made))
         held_out = self._held_out(held_out_models)
@@ -386,12 +382,6 @@ class _Refit:
         unseen = [lines.ends(a, b, "V") for a, b in parts if b - a > _NOT_VISITED * (high - low)]
         if unseen:
             missing.append(f"{' and '.join(unseen)} were not visited: the old model holds there.")
-        sliding = 2 * actuator.slip.breakaway
-        stuck = int(np.count_nonzero((sliding > record.stroke) & (sliding < np.ptp(actuator.reach))))
-        if stuck:
-            missing.append(
-                f"{counted(stuck, 'slip element')} did not slide both ways; the neighbours' change is taken."
-            )
         delay = actuator.delay if actuator.delay == self.given.delay else 0.0
         kept = {"delay": delay, "inertia": actuator.dynamics, "creep": actuator.displacement_creep}
         names = [name for name, part in kept.items() if part]
