@@ -88,10 +88,3 @@ def test_records_that_are_not_the_models_are_told(gain, told):
     found = insight(fit.actuator, Record(record.time, record.voltage, gain * record.displacement, "other"))
     assert bool(found._of_others()) == told
     assert (next(iter(found.summary().split("\n"))) == found.promise.sentence) == (not told)
-
-
-def test_limits_beyond_the_records_are_told():
-    _, fit, record = looked("plain")
-    low, high = fit.actuator.limits
-    found = insight(fit.actuator, record, limits=(low, high + 40))
-    assert any("extrapolated" in warning for warning in found.warnings())

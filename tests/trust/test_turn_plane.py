@@ -75,7 +75,6 @@ def test_a_path_has_the_speeds_of_the_promise():
 def test_a_voltage_that_rests_has_no_plane():
     rest = np.zeros(10)
     assert turn_plane([("rest", np.arange(10.0), rest)]) is None
-    assert turn_plane([]) is None
     assert turn_plane([("rest", np.arange(10.0), rest)], (0.0, 100.0)) is None
 
 

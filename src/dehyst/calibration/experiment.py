@@ -192,7 +192,7 @@ def _identified(
         return replace(fit, stage=replace(fit.stage, name=f"{rig.identity}, axes {', '.join(rig.axes)}")), None
     listener.message("assessing what the record determines")
     fit = replace(fit, actuator=replace(fit.actuator, name=f"{rig.identity}, axis {rig.axis}"))
-    return fit, insight(fit.actuator, [training], limits=(rig.limits.low, rig.limits.high))
+    return fit, insight(fit.actuator, [training])
 
 
 def _remarks(records: Sequence[Record], checked: Sequence[Recheck], sent: Array) -> Iterator[str]:

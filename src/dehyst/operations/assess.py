@@ -37,7 +37,7 @@ def insight(
     records: tuple[Path, ...] = argument(nargs=-1),
     trajectory: Path | None = option("Show the promise of the path in this file.", INPUT, of_one_axis),
     zero: float | None = number("Zero of the trajectory, as in compensate.", _of_path),
-    limits: tuple[float, float] | None = pair("Voltages allowed [V]; default: those of the model."),
+    limits: tuple[float, float] | None = pair("Voltages of the trajectory [V]; default: those of the model.", _of_path),
     slew_rate: OfAxes = slew_option("Largest slew rate of the trajectory [V/s].", _of_path),
     report: Path | None = REPORT,
     columns: Columns = COLUMNS,
@@ -54,9 +54,8 @@ def insight(
         tables = [read_table(path, columns) for path in (records[0], trajectory)]
         own, of_path = columns_in(columns, *tables), columns_in(columns, *reversed(tables))
     training = [known.record(run, path, own) for path in records]
-    asked: dict[str, Any] = {"limits": limits, "progress": run.progress}
     if known.stage is not None:
-        whole = insight_one(known.stage, training, **asked)
+        whole = insight_one(known.stage, training, progress=run.progress)
         assessed: Insight | StageInsight = whole
         found, head = whole.insights, list(whole.lines())
     else:
@@ -66,7 +65,7 @@ def insight(
             path, warmth, clock = read_path(known, trajectory, of_path, zero, remark=run.note)
             when = {"time": clock.get("time_s"), "temperature": warmth}
             (plan,) = known.planned(plan_path, path, [limits], known.slews(slew_rate)[0], **when)
-        assessed = insight_one(known.actuators[0], training, plan=plan, **asked)
+        assessed = insight_one(known.actuators[0], training, plan=plan, progress=run.progress)
         found, head = (assessed,), []
     if report is not None:
         run.progress("drawing the page")
@@ -183,6 +182,6 @@ def _update_lines(update: Update) -> Iterator[str]:
     """Yield the result, the promise, and the changes."""
     yield update.sentence
     if update.promise is not None:
-        yield from update.promise.lines
+        yield from update.promise.lines(update.recheck.goal)
     yield from update.sentences()
     yield from (f"  - {remark}" for remark in update.recheck.remarks)

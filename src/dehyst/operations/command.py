@@ -140,9 +140,9 @@ def number(text: str, *only: Condition, **settings: Any) -> Any:
     return option(text, NUMBER, *only, **settings)
 
 
-def pair(text: str) -> Any:
+def pair(text: str, *only: Condition) -> Any:
     """Return the declaration of an option for two numbers, the lower one first."""
-    return option(text, (NUMBER, NUMBER), metavar="LOW HIGH")
+    return option(text, (NUMBER, NUMBER), *only, metavar="LOW HIGH")
 
 
 def flag(text: str, *only: Condition, **settings: Any) -> Any:

@@ -13,9 +13,7 @@ from dehyst._errors import ModelError
 from dehyst._text import counted, digits, escaped
 from dehyst._threads import one_thread
 from dehyst._types import Array, Progress
-from dehyst._validation import interval
 from dehyst._views.fields import json_values
-from dehyst._views.lines import ends
 from dehyst._views.pictures import Plotted
 from dehyst.control import PathPlan
 from dehyst.identification import (
@@ -29,7 +27,7 @@ from dehyst.identification import (
 )
 from dehyst.model import Actuator, Promise, Stage, by_axis, excite_command, matrix_lines, promised, voltages_of
 from dehyst.records import Record, largest
-from dehyst.trust.recheck import ANOTHER, coupling_of
+from dehyst.trust.recheck import coupling_of
 from dehyst.trust.turn_plane import TurnPlane, turn_plane
 
 # Records are not those of a model that misses them by more than this [% of their range], and more than this many times
@@ -37,8 +35,6 @@ from dehyst.trust.turn_plane import TurnPlane, turn_plane
 _WORTH, _TIMES = 0.5, 3.0
 # Half the width of a 90 % interval, in standard errors; a coupling that is known to less than this may differ.
 _DEVIATIONS, _CHANGED = 1.6448536269514722, 0.005
-# Limits may be wider than the recorded voltages by this part, for a rounded number's sake.
-_WIDER = 0.01
 
 
 def insight(
@@ -46,7 +42,6 @@ def insight(
     records: Record | Sequence[Record],
     *,
     plan: PathPlan | None = None,
-    limits: tuple[float, float] | None = None,
     progress: Progress = lambda _: None,
 ) -> Any:
     """Assess an identified model by its records: its promise, what they do not test, and what to record next.
@@ -60,28 +55,25 @@ def insight(
     plan : PathPlan, optional
         A path that the model is to follow, from `dehyst.control.plan_path`; its promise is shown. Default: any path
         like the records.
-    limits : (float, float), optional
-        Voltages allowed [V]; default: those of the model.
     progress : callable, optional
         Called with a short text at each step.
 
     Raises
     ------
     RecordError, IdentifyError
-        If a record cannot be used or an option is impossible.
+        If a record cannot be used.
     ModelError
-        If a range is impossible.
+        If `model` is of another type.
     """
     if isinstance(model, Stage):
         every = [records] if isinstance(records, Record) else records
-        return _stage_insight(model, every, plan, limits=limits, progress=progress)
+        return _stage_insight(model, every, plan, progress)
     if not isinstance(model, Actuator):
         raise ModelError(argument="model", got=type(model).__name__, need="an Actuator or a Stage")
     progress("reading the records beside the model")
-    allowed = model.limits if limits is None else interval(limits)
     with one_thread():
         compared = compare_all(model, records)
-        return Insight(model, compared, compared[0].frame.stroke, allowed, plan)
+        return Insight(model, compared, plan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,19 +86,18 @@ class Insight(Plotted):
         The model.
     comparisons : tuple of RecordComparison
         Each record on the model's axis.
-    stroke : float
-        The range of the widest loop [m].
-    limits : (float, float) or None
-        Voltages allowed [V].
     plan : PathPlan or None
         The path that is judged; None: any path like the records.
     """
 
     actuator: Actuator
     comparisons: tuple[RecordComparison, ...]
-    stroke: float
-    limits: tuple[float, float] | None
     plan: PathPlan | None = None
+
+    @property
+    def stroke(self) -> float:
+        """The range of the widest loop of the model's records [m]."""
+        return self.comparisons[0].frame.stroke
 
     @property
     def promise(self) -> Promise | None:
@@ -116,7 +107,7 @@ class Insight(Plotted):
     @property
     def expected(self) -> tuple[str, ...]:
         """The promise in sentences; none for records of another stage, where the warning is the answer."""
-        return () if self.promise is None or self._of_others() else self.promise.lines
+        return () if self.promise is None or self._of_others() else self.promise.lines()
 
     @cached_property
     def identifiability(self) -> Identifiability:
@@ -164,7 +155,7 @@ class Insight(Plotted):
     def warnings(self) -> tuple[str, ...]:
         """Return warnings to consider before the model is used, and before the path of the `plan` is."""
         missed, useless = self.plan.failure if self.plan else "", self.promise.unusable if self.promise else ""
-        return tuple(filter(None, [missed, self._of_others(), useless, self._open(), self._beyond()]))
+        return tuple(filter(None, [missed, self._of_others(), useless, self._open()]))
 
     @property
     def origin(self) -> str:
@@ -183,12 +174,9 @@ class Insight(Plotted):
         # A drift that the identification removed is no other record.
         if own is None or missed <= _WORTH or self.misfit <= _TIMES * own or all(each in sources for each in sums):
             return ""
-        far = f"{missed:.3g} % of their range"
-        if missed > ANOTHER:
-            return f"The model misses these records by up to {far}: they are of another actuator or in other units."
         return (
-            f"The model misses these records by up to {far}, {digits(self.misfit / own)} times as far as those it "
-            "was identified from: give those, or see by dehyst check what has changed."
+            f"The model misses these records by up to {missed:.3g} % of their range, {digits(self.misfit / own)} times "
+            "as far as those it was identified from: give those, or see by dehyst check what has changed."
         )
 
     def _open(self) -> str:
@@ -200,19 +188,6 @@ class Insight(Plotted):
         return (
             f"{found.of - found.determined} of {found.of} directions of {found.subject} are open: motions that turn "
             "elsewhere than the records do may be predicted wrongly."
-        )
-
-    def _beyond(self) -> str:
-        """Return a warning if the limits [V] go beyond the recorded voltages."""
-        recorded, limits = self.actuator.limits, self.limits
-        if recorded is None or limits is None:
-            return ""
-        over = max(recorded[0] - limits[0], limits[1] - recorded[1])
-        if over <= _WIDER * (recorded[1] - recorded[0]):
-            return ""
-        return (
-            f"The limits, {ends(*limits, 'V')}, go {over:.4g} V beyond the voltages of the records, "
-            f"{ends(*recorded, 'V')}: all results for voltages there are extrapolated."
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -261,13 +236,11 @@ class StageInsight:
         return json_values(self, keys) | {"insights": by_axis(self.axes, self.insights)}
 
 
-def _stage_insight(
-    stage: Stage, records: Sequence[Record], plan: PathPlan | None = None, **options: Any
-) -> StageInsight:
-    """Assess a stage by the records it was identified from; `options`: of `insight`, for each actuator."""
+def _stage_insight(stage: Stage, records: Sequence[Record], plan: PathPlan | None, progress: Progress) -> StageInsight:
+    """Assess a stage by the records it was identified from."""
     half = _DEVIATIONS * coupling_of(stage, records)[1]
     insights = tuple(
-        insight(actuator, [stage.alone(record, j) for record in records], plan=plan and plan.each[j], **options)
+        insight(actuator, [stage.alone(record, j) for record in records], plan=plan and plan.each[j], progress=progress)
         for j, actuator in enumerate(stage.actuators)
     )
     remarks = tuple(

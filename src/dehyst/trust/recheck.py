@@ -306,16 +306,16 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     IdentifyError
         If no sample counts, or the goal is impossible.
     """
+    if not isinstance(model, Actuator | Stage):
+        raise IdentifyError(argument="model", got=type(model).__name__, need="an Actuator or a Stage, as of a Fit")
+    if not isinstance(record, Record):
+        hint = "read a file with dehyst.read(path)"
+        raise IdentifyError(argument="record", got=type(record).__name__, need="a record", hint=hint)
     if isinstance(model, Stage):
         return _check_stage(model, record, goal)
-    if not isinstance(model, Actuator):
-        raise IdentifyError(argument="model", got=type(model).__name__, need="an Actuator or a Stage, as of a Fit")
-    actuator = model
-    origin = actuator.identification or Identification()
+    actuator, origin = model, model.identification or Identification()
     goal = (origin.goal or _GOAL) if goal is None else goal
     goal = _validation.Numbers(least=1e-3, most=100.0, error=IdentifyError)(goal, "goal")
-    if not isinstance(record, Record):
-        raise IdentifyError(got=type(record).__name__, need="a record", hint="read a file with dehyst.read(path)")
     with one_thread():
         prepared = prepare_for(actuator, record)
         prepared.span()

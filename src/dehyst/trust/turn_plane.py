@@ -94,13 +94,11 @@ def turn_plane(
     """
     given = list(records)
     ends = [*(limits or ()), *(float(end) for _, _, v in given if v.size for end in (v.min(), v.max()))]
-    if not ends or max(ends) == min(ends):
-        return None
-    edges = np.linspace(min(ends), max(ends), CELLS + 1)
-    span = max(ends) - min(ends)
+    span = max(ends, default=0.0) - min(ends, default=0.0)
     found = [turn for name, time, voltage in given if voltage.size > 1 for turn in _turns(name, time, voltage, span)]
     if not found:
         return None
+    edges = np.linspace(min(ends), max(ends), CELLS + 1)
     rising, falling = tested_loops(np.array([(branch.begin, branch.end) for branch in found]), edges)
     return TurnPlane(tuple(found[:_MOST]), edges, rising, falling)
 
