@@ -56,4 +56,4 @@ def percent(part: float, whole: float, *unlike: float, goal: float = inf) -> str
     """Return a ratio as text in percent; `unlike` are other parts and `goal` [%] is another ratio, as in `digits`."""
     if not (whole > 0 and np.isfinite(part)):
         return "not known"
-    return f"{digits(round(100 * part / whole, 9), 2, goal, *(100 * other / whole for other in unlike))} %"
+    return f"{digits(round(100 * part / whole, 9), 2, goal, *(round(100 * x / whole, 9) for x in unlike))} %"
