@@ -54,11 +54,7 @@ class OfAxes:
         found: dict[str, Any] = {}
         for axis, value in self.given:
             if axis in found:
-                raise ModelError(
-                    argument=self.name,
-                    got=f"{f'the axis {axis}' if axis else 'a value for all axes'} twice",
-                    need="it once",
-                )
+                raise ModelError(argument=self.name, got=f"{axis or 'a value for all axes'} twice", need="it once")
             if axis and axis not in axes:
                 known = f"one of {', '.join(axes)}" if any(axes) else "none, as there is one axis"
                 raise ModelError(argument=self.name, got=f"the axis {axis}", need=known)

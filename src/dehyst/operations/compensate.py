@@ -109,7 +109,10 @@ def compensate(
         _draw(plot, known.axes, shown, command=run.command)
     axes = [*zip(known.actuators, plans, allowed, slews, volts, strict=True)]
     made: dict[str, Any] = {"samples": size, "output": str(output)}
-    made |= {} if found is None else _cycle_fields(found) | {"table": str(table)}
+    if found is not None:
+        made |= {"table": str(table), "settled": found.settled, "error_um": found.error * 1e6}
+        made |= {"start_up_cycles": found.cycles, "cycle_samples": len(found.cycle)}
+        made |= {"sample_rate_Hz": found.sample_rate, "frequency_Hz": found.sample_rate / len(found.cycle)}
     return _answer(known, axes, urgent, remarks, made, [*files(Picture=plot), *kept], found)
 
 
@@ -199,18 +202,6 @@ def _numbers(actuator: Actuator, plan: PathPlan, limits: Limits, slew: float | N
         "seconds": None if time is None else float(np.ptp(time)),
         "promise": plan.promise and plan.promise.as_dict(),
         "state": plan.state.as_dict(),
-    }
-
-
-def _cycle_fields(found: WaveTable) -> dict[str, Any]:
-    """Return the steady cycle of a period as JSON values."""
-    return {
-        "sample_rate_Hz": found.sample_rate,
-        "frequency_Hz": found.sample_rate / len(found.cycle),
-        "start_up_cycles": found.cycles,
-        "cycle_samples": len(found.cycle),
-        "error_um": found.error * 1e6,
-        "settled": found.settled,
     }
 
 

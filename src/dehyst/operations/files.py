@@ -9,15 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from dehyst._errors import FileFormatError
 from dehyst._io import format_of
 from dehyst._types import Array
 from dehyst.operations.command import Parsed, number, option
 from dehyst.operations.run import MODELS
 from dehyst.records import Columns, Table, write_columns
 from dehyst.records.columns import AS_FOUND, PATH, RECORD, VOLTAGE
-from dehyst.records.formats.column import listed
-from dehyst.records.record import Channel
 from dehyst.waveforms import positive
 
 __all__ = ["AS_FOUND", "PATH", "RECORD", "VOLTAGE", "Columns"]
@@ -48,23 +45,6 @@ def clock_of(table: Table, columns: Columns) -> dict[str, Array]:
         return {}
     # A copy, so that the other columns of the file need not stay in memory.
     return {"time_s": np.array(table.column("time", columns.time))}
-
-
-def warmth_of(table: Table, columns: Columns) -> Array | None:
-    """Return the temperatures (n,) [degC] in a table: the named column, or the only one that is a temperature.
-
-    None if there is no such column. Raise an error if there are several, or one that cannot be used.
-    """
-    known = [column.name for column in table.columns if column.role == "temperature"]
-    if columns.temperature is None and not known:
-        return None
-    if columns.temperature is None and len(known) > 1:
-        words = f"{table.source}: {listed(tuple(known))} are temperatures"
-        raise FileFormatError(words, argument="columns", hint=f"select one by temperature={known[0]}")
-    values = table.column("temperature", columns.temperature or known[0])
-    if fault := Channel("temperature", "degC", "temperature", "", values).fault:
-        raise FileFormatError(f"{table.source}: temperature: {fault}")
-    return values
 
 
 # Significant digits of a table: 0.1 nV of 100 V.

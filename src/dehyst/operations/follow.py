@@ -76,10 +76,9 @@ def follow(
             raise ModelError(words.removesuffix("."), argument="path", hint=hint)
 
     allowed, (slews, _) = limits.of(known.axes), known.slews(slew_rate)
-    asked: tuple[Any, Any] = allowed, slews
     axes = None if known.stage is None else known.axes
-    bound, steepest = asked if axes else (asked[0][0], asked[1][0])
-    with open_rig(rig, axes, limits=bound, slew_rate=steepest) as instrument:
+    asked: Any = [each if axes else each[0] for each in (allowed, slews)]
+    with open_rig(rig, axes, limits=asked[0], slew_rate=asked[1]) as instrument:
         bounds = _bounds(run, known, instrument, allowed, slews)
         played = min(rate, HIGHEST_RATE) if feedback else played_rate(instrument, rate)
         if abs(played / rate - 1) > _RATES:

@@ -18,9 +18,10 @@ from dehyst.control.limits import unit_hint
 from dehyst.model import USELESS, Actuator, Promise, demand_thermal, tested_temperatures
 from dehyst.operations.axes import AxesModel, Limits
 from dehyst.operations.command import number
-from dehyst.operations.files import PATH, Columns, clock_of, warmth_of
+from dehyst.operations.files import PATH, Columns, clock_of
 from dehyst.records import Table, table_of
 from dehyst.records.formats.column import listed
+from dehyst.records.record import Channel
 
 ZERO = number("Zero of the path [um of the sensor]; default: the sensor's.")
 # Part of the reachable range by which a path may lie outside without a remark.
@@ -68,17 +69,25 @@ def fault_of(plan: PathPlan) -> str:
 def temperature_of(
     known: AxesModel, columns: Columns, table: Table, *, remark: Callable[[str], object]
 ) -> Array | None:
-    """Return the temperature (n,) [degC] in the table of a path; None if it has none.
+    """Return the temperature (n,) [degC] in a table: the named column, or the only one that is one; None if none is.
 
     If the model does not depend on temperature, a column that was not requested is left out, with a remark.
     """
+    own = tuple(column.name for column in table.columns if column.role == "temperature")
     if columns.temperature is not None:
         demand_thermal(*(actuator.thermal for actuator in known.actuators))
-    if any(actuator.thermal or tested_temperatures(actuator) for actuator in known.actuators):
-        return warmth_of(table, columns)
-    if own := tuple(column.name for column in table.columns if column.role == "temperature"):
+    elif not own:
+        return None
+    if not any(actuator.thermal or tested_temperatures(actuator) for actuator in known.actuators):
         remark(f"temperature: {listed(own)} of the file is not used, as the model does not depend on temperature")
-    return None
+        return None
+    if columns.temperature is None and len(own) > 1:
+        words = f"{table.source}: {listed(own)} are temperatures"
+        raise FileFormatError(words, argument="columns", hint=f"select one by temperature={own[0]}")
+    values = table.column("temperature", columns.temperature or own[0])
+    if fault := Channel("temperature", "degC", "temperature", "", values).fault:
+        raise FileFormatError(f"{table.source}: temperature: {fault}")
+    return values
 
 
 def read_path(

@@ -151,11 +151,8 @@ def before_path(
     """
     if path.homing is not None:
         return
-    first, longest, unknown = (
-        float(path.voltage[0]),
-        creep_times(actuator).max(initial=0.0),
-        path.start.name == "unknown",
-    )
+    first, unknown = float(path.voltage[0]), path.start.name == "unknown"
+    longest = creep_times(actuator).max(initial=0.0)
     present = 0.0 if unknown else actuator.voltage(path.start.within(actuator, limits))
     if given is None and abs(first - present) > 0.01 * max(abs(value) for value in (present, *voltages_of(actuator))):
         origin, hint = ("", "; --present V puts the way into the file") if unknown else ("that of the start, ", "")

@@ -11,19 +11,7 @@ import numpy as np
 
 from dehyst._errors import RecordError
 from dehyst.control.planning.ways import MOST_ROWS
-from dehyst.operations.command import (
-    NUMBER,
-    Declaration,
-    Parsed,
-    argument,
-    command,
-    flag,
-    kinds,
-    number,
-    option,
-    output,
-    pair,
-)
+from dehyst.operations.command import NUMBER, Parsed, argument, command, flag, kinds, number, option, output, pair
 from dehyst.operations.files import GAIN, write_table
 from dehyst.operations.run import Result, Run
 from dehyst.waveforms import Excitation, Sampling, stage_excitation, standard
@@ -48,7 +36,7 @@ class Numbers(tuple[float, ...]):
 
 
 # Options of every excitation.
-_DRIVEN: dict[str, Declaration] = {
+_DRIVEN: dict[str, Any] = {
     "output": output("Write time and voltage here (CSV)."),
     "frequency": number("Cycles per second [Hz], of recommended the slowest ones; as you will use it.", default=0.1),
     "sample_rate": number("Samples per second [Hz]; default: 400 samples a cycle, recommended 1000."),
@@ -182,7 +170,7 @@ def _add_scan(kind: str, text: str) -> None:
         return Result(fields, [line], warnings=made.warnings)
 
     written.__doc__ = text
-    options: dict[str, Declaration] = {
+    options: dict[str, Any] = {
         "output": output("Write time and displacement here (CSV)."),
         "sample_rate": number("Samples per second [Hz]; default: from the scan."),
         "cycles": option("Cycles of the scan.", int, default=1),
