@@ -181,7 +181,7 @@ class ModelText:
         """Return the constants of `piezo.c`: every number that a step reads, and the start."""
         start = self._start
         elongation, crept = np.split(start.strains, [self._tables["length"].size])
-        # A step reads these tables, but not kappa with graded elements, and one slope less than knots.
+        # A step reads these tables; it does not read kappa of graded elements, nor a slope after the last knot.
         arrays = {name: self._tables[name] for name in self._tables if name not in _SCALARS}
         if arrays["grade_knot"].size:
             arrays["kappa"] = EMPTY

@@ -241,7 +241,7 @@ def remove_jitter(piece: Record, noise: float, stroke: float) -> Record:
 
     `piece`: piece without delay. `noise`: standard deviation of the sensor [m]. `stroke`: range of the widest loop [m].
     Significant noise is first smoothed by parabolas over a part of a cycle. For loud noise the parts are wider, and
-    each branch is smoothed alone: otherwise turns would be rounded.
+    each branch is smoothed alone: otherwise the noise would move turns beyond the reach of the actuator.
     """
     part = int(cycle_time(piece) / piece.sample_time / _PART_OF_CYCLE)
     if disturbs(noise, stroke):
@@ -258,7 +258,7 @@ def _between_turns(piece: Record, window: int) -> Record:
     """Return a piece whose displacement is smooth and monotone from turn to turn.
 
     An error at a turn stays in the elements for the whole branch after it. Therefore a turn is the mean of the values
-    of both branches, and no sample of a branch lies beyond its turns; the ends of a monotone fit to noise would.
+    of both branches, and samples beyond the turns, as at the ends of a monotone fit to noise, are clipped.
     """
     y, branches = piece.displacement.copy(), _counted_branches(piece)
     sums, counts = np.zeros(y.size), np.zeros(y.size)

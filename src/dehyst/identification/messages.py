@@ -91,7 +91,7 @@ def _drift(error: RecordErrors) -> str:
     if error.creeps:
         return f"creep of {100 * error.drift / error.stroke:.3g} % of the stroke a decade of time"
     if error.steady:
-        cause = "in proportion to time: of the sensor, a moved zero, the temperature, or slow creep"
+        cause = "linear in time, from the sensor, a moved zero, the temperature, or slow creep"
     elif error.decades < FEWEST_DECADES:
         cause = "over too short a time to determine a rate of creep"
     else:

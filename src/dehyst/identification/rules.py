@@ -50,7 +50,7 @@ class DecisionRules:
     )
     slowest_cycle: float = _rule(1000.0, "samples a cycle", "Slower cycles do not show inertia.")
     inertia_gain: float = _rule(
-        0.7, "ratio of held-out errors", "A resonance can fit noise: it must lower the held-out error much."
+        0.7, "ratio of held-out errors", "A resonance can fit noise: it must lower the error to this."
     )
     damped: float = _rule(0.4, "damping", "A motion with more damping is a lag, not a resonance.")
     creep_gain: float = _rule(0.85, "ratio of held-out errors", "With rests, creep must lower the error to this.")
@@ -76,7 +76,7 @@ class DecisionRules:
     )
     loud: float = _rule(0.002, "part of the range", "More noise moves the elements and makes their loops narrow.")
     useless: float = _rule(USELESS, "% of the stroke", "A model with a larger expected error is not usable.")
-    most_set_aside: float = _rule(0.1, "part of the samples", "If more is left out, the verdict is usable with care.")
+    most_set_aside: float = _rule(0.1, "part of the samples", "If more is left out, the model is usable with care.")
 
 
 RULES = DecisionRules()

@@ -36,7 +36,7 @@ WIDE = (
     *(replace(_WHOLE, grades=16, smoothing=s) for s in (1e-2, 3e-3)),
     *(replace(_WHOLE, transformer=20, grades=m, smoothing=s) for m, s in ((1, 1e-2), (8, 1e-2), (8, 3e-3))),
 )
-# For turning points that do not determine the elements: the first structure is used, the others show what is open.
+# Structures if the turning points do not determine the elements: the first is used, the others show the uncertainty.
 OPEN = (replace(_WHOLE, smoothing=3e-2), replace(_WHOLE, transformer=20, grades=1), _PLAIN)
 # Numbers of rows of the first trials, of the search, and of the final program.
 FEW, _ROWS, _MOST = 2000, 4000, 12_000
@@ -121,7 +121,7 @@ class Fitted:
     def score(self) -> float:
         """The held-out error divided by the ratios to which the parts must lower it."""
         gains = _GAINS if any(self.frame.rests) else _GAINS | {"creep": RULES.hidden_creep_gain}
-        # Grades and a transformer have similar effects: with grades, a transformer must meet its ratio twice.
+        # Grades and a transformer have similar effects: with grades, the ratio of a transformer counts twice.
         bends = bool(self.structure.transformer) * (1 + (self.structure.grades > 1))
         return self.held_out / prod(gains.get(name, 1.0) for name in self.names) / RULES.static_gain**bends
 

@@ -173,7 +173,7 @@ class Grid:
             elements = (ahead.astype(np.int8) - held.astype(np.int8)).reshape(y.size, -1)
             parts.append(np.hstack([elements, spring.astype(np.int8)]))
         rows = np.vstack(parts)
-        # Each row becomes one string of bytes: these are faster to compare than columns are to sort.
+        # Each row becomes one string of bytes: comparing these is faster than sorting by columns.
         _, first = np.unique(rows.view(np.dtype((np.void, rows.shape[1]))).ravel(), return_index=True)
         return np.asarray(rows[np.sort(first)], dtype=np.float64)
 

@@ -1,4 +1,4 @@
-"""Entries of a model: one description of each entry gives the check of its value and its key in a model file.
+"""Entries of a model: the description of an entry states how its value is checked and its key in a model file.
 
 A part, a state or an actuator is a dataclass whose fields are made by `entry`. Its constructor and its file go through
 the same checks. A file is read strictly; saving and loading lose nothing.
@@ -20,7 +20,7 @@ from dehyst._validation import Numbers, keep
 from dehyst._views.fields import json_value
 from dehyst._views.lines import brief
 
-_OTHER_VERSION = "identify the records again, or read the file with the dehyst that wrote it"
+_OTHER_VERSION = "identify the records again, or read the file with the version of dehyst that wrote it"
 # A reader takes a value of Python or of a file, and its name in messages; it returns the checked value of the entry.
 Reader = Callable[[Any, str], Any]
 if TYPE_CHECKING:

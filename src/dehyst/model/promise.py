@@ -64,7 +64,7 @@ LARGEST, RMS = 6.2, 2.2
 # A path closes loops if at least this part of its branches do. Factors of the promised errors: the path closes loops,
 # but the records do not; the records do not show whether actuator or sensor lags.
 _CLOSING, _OPEN, _LAGGING = 0.2, 1.8, 1.6
-# Largest offset of a path whose sensor is zeroed at its start, as a part of the largest error of the model; creep adds.
+# Largest offset of a path whose sensor is zeroed at its start, as a part of its largest error; creep adds to it.
 _OFFSET = 0.5
 # Least error that the records can show, as a part of the stroke; least disagreement of models, as a part of the
 # held-out error.
@@ -80,7 +80,7 @@ _FASTER, _OFTENER, _GROWTH = 0.4, 3.0, 0.6
 # and a low-pass after a turn to the lag times the speed. Ages, in time constants, of equal parts of a low-pass's input.
 _PEAK, _LATE_RMS, _AT_A_TURN, _MEMORY = 1.9, 0.5, 2 * float(np.exp(-1.0)), -np.log1p(-(np.arange(16) + 0.5) / 16)
 # Powers of three ratios: range of a path / mean height of its branches; range of the path / range of the records;
-# longest hold of the path / of the records, with a largest ratio. Power of e over the share of time at rest.
+# longest hold of the path / of the records, with a largest ratio. The last is the exponent per share of rest.
 _PLACES, _RANGE, _HOLD, _LONGEST, _RESTING = 0.35, 0.7, 0.07, 20.0, 0.35
 # Error of a path that lasts a decade longer than the records show creep, as a part of the creep per decade.
 _SLOWER = 0.3

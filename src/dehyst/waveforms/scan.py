@@ -327,7 +327,7 @@ class Scan(ABC):
         if requested is None or abs(self.period / requested - 1) <= 1e-9:
             return ()
         return (
-            f"a period takes {self.samples} samples at {self.rate:.9g} Hz: {1 / self.period:.9g} Hz for "
+            f"a period takes {self.samples} samples at {self.rate:.9g} Hz: {1 / self.period:.9g} Hz instead of "
             f"{1 / requested:.9g} Hz",
         )
 
@@ -355,7 +355,7 @@ class MotionLimits:
         name, worst, unit = ("speed", 0, "um/s") if v < a else ("acceleration", 1, "um/s^2")
         raise RecordError(
             argument=name,
-            got=f"{getattr(self, name) * 1e6:.6g} {unit}, but {what} takes {peaks[worst] * 1e6:.6g} {unit}",
+            got=f"{getattr(self, name) * 1e6:.6g} {unit}, but {what} needs {peaks[worst] * 1e6:.6g} {unit}",
             hint=f"try {rounded(frequency * min(v, sqrt(a)), floor)} Hz or less in place of {frequency:.6g}, or "
             f"{rounded(height * min(v, a) * 1e6, floor)} um in place of {height * 1e6:.6g}",
         )

@@ -139,7 +139,7 @@ class Steps(Scan):
             least = self._least(abs(b - a))
             if self.edge is not None and self.edge < least * (1 - 1e-9):
                 raise RecordError(
-                    f"got {self.edge:.4g} s for {abs(b - a) * 1e6:.6g} um, which takes {least:.4g} s at least within "
+                    f"got {self.edge:.4g} s for {abs(b - a) * 1e6:.6g} um, which needs at least {least:.4g} s within "
                     f"{self.limits.words}",
                     argument="edge",
                     hint=f"try {base.rounded(least, ceil)} s, or none for the shortest",
