@@ -344,11 +344,7 @@ def promise(
     v, clock = (None if given is None else np.asarray(given, dtype=np.float64) for given in (voltage, time))
     v = _anywhere(validity) if v is None else v
     at, beyond, whole = newness(validity, v)
-    speed, rate = _paces(validity, v, clock, at)
-    shown = validity.shown * _kind(validity, v, clock, at) * (_LAGGING if validity.lag_open else 1.0)
-    late = 0.0 if clock is None else _late(validity, speed, v, clock)
-    shown *= max(speed, rate / _OFTENER, 1.0) ** _FASTER
-    shown = float(np.hypot(shown, _GROWTH * max(speed, rate) * validity.growth))
+    shown, late = _shown(validity, v, clock, at)
     grown = shown * float(_grown(whole))
     rms_, largest = (min(factor * grown, validity.stroke) for factor in (RMS, LARGEST))
     # A path like the records may be as fast as their fastest part, which the model misses most.
@@ -365,9 +361,7 @@ def promise(
     # Nothing is known beyond the voltages of the records: the whole displacement there counts as error.
     over = np.maximum(v - validity.limits[1], validity.limits[0] - v) / validity.span
     errors = {"start": np.asarray(opened), "missed": np.abs(missed), "voltages": validity.stroke * over * (over > BAND)}
-    for name, error in errors.items():
-        if np.any(error):
-            rms_, half, parts[name] = float(np.hypot(rms_, rms(error))), half + error, float(error.max())
+    rms_, half = _added({name: error for name, error in errors.items() if np.any(error)}, rms_, half, parts)
     largest = sum(parts.values())
     untested = [*(not_recorded(validity) if voltage is None else untested_by(validity, v, clock, at, waits))]
     untested += [Untested("temperature", cost.sentence)] if cost.sentence else []
@@ -400,6 +394,22 @@ def untested(actuator: Actuator, found: Promise | None, temperature: ArrayLike |
         return *filter(None, [found.unusable]), *(condition.sentence for condition in found.untested)
     sentence = TemperatureCost(actuator.thermal, None, stroke_of(actuator), temperature).sentence
     return (sentence,) if sentence else ()
+
+
+def _shown(validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp]) -> tuple[float, float]:
+    """Return the length [m] to which the bounds of a path are proportional, and the largest error [m] from a lag."""
+    speed, rate = _paces(validity, voltage, time, at)
+    shown = validity.shown * _kind(validity, voltage, time, at) * (_LAGGING if validity.lag_open else 1.0)
+    shown *= max(speed, rate / _OFTENER, 1.0) ** _FASTER
+    late = 0.0 if time is None else _late(validity, speed, voltage, time)
+    return float(np.hypot(shown, _GROWTH * max(speed, rate) * validity.growth)), late
+
+
+def _added(errors: Mapping[str, Array], rms_: float, half: Array, parts: dict[str, float]) -> tuple[float, Array]:
+    """Return RMS error and bound with other `errors` (n,) [m] along a path, which are added to the `parts`."""
+    for name, error in errors.items():
+        rms_, half, parts[name] = float(np.hypot(rms_, rms(error))), half + error, float(error.max())
+    return rms_, half
 
 
 def _anywhere(validity: Validity) -> Array:
