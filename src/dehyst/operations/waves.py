@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import click
 import numpy as np
 
 from dehyst._errors import RecordError
 from dehyst.control.planning.ways import MOST_ROWS
-from dehyst.operations.command import NUMBER, Parsed, argument, command, flag, kinds, number, option, output, pair
+from dehyst.operations.command import NUMBER, argument, command, flag, kinds, number, option, output, pair
 from dehyst.operations.files import GAIN, write_table
 from dehyst.operations.run import Result, Run
 from dehyst.waveforms import Excitation, Sampling, stage_excitation, standard
@@ -21,18 +21,9 @@ from dehyst.waveforms.scans import OPTIONS, SCANS, scan_of
 _BEFORE = "Before recording, play one cycle on all axes, so that the record begins within the loops."
 
 
-class Numbers(tuple[float, ...]):
-    """Numbers separated by commas."""
-
-    metavar = "UM,UM,..."
-
-    @classmethod
-    def parse(cls, text: str) -> Self:
-        """Return the numbers in a text; raise `RecordError` if it has anything else."""
-        try:
-            return cls(map(float, text.split(",")))
-        except ValueError as error:
-            raise RecordError(got=repr(text), need="numbers with commas between them, as 0,10,20") from error
+def numbers(text: str) -> tuple[float, ...]:
+    """Return the numbers in a text, with commas between them."""
+    return tuple(map(float, text.split(",")))
 
 
 # Options of every excitation.
@@ -175,11 +166,12 @@ def _add_scan(kind: str, text: str) -> None:
         "sample_rate": number("Samples per second [Hz]; default: from the scan."),
         "cycles": option("Cycles of the scan.", int, default=1),
     }
-    values: dict[Any, Any] = {"numbers": Parsed(Numbers), float: NUMBER}
+    values: dict[Any, Any] = {"numbers": numbers, float: NUMBER}
     for name in SCANS[kind].takes:
         own, choices = OPTIONS[name], OPTIONS[name].kind
         default = own.default or (choices[0] if isinstance(choices, tuple) else "")
-        words = f"{own.help}{f' [{own.unit}]' if own.unit else ''}{default and f'; default: {default}'}."
+        commas = ", with commas between them" if choices == "numbers" else ""
+        words = f"{own.help}{commas}{f' [{own.unit}]' if own.unit else ''}{default and f'; default: {default}'}."
         of = click.Choice(choices) if isinstance(choices, tuple) else values.get(choices, choices)
         options[name] = option(words, of, required=name in SCANS[kind].needs)
     command(kind, options, scan)(written)
