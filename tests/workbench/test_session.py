@@ -274,7 +274,7 @@ async def test_an_export_has_the_period_that_is_given_and_a_missing_one_is_asked
     with pytest.raises(ModelError, match="period") as refused:
         perform(context_of(["export", str(file), str(file.with_name("x.fmu"))]), Run())
     await stage.next(Finished(error=refused.value.as_dict()))
-    assert "give Samples a second (Hz)" in stage.session.state()["jobs"][-1]["error"]
+    assert "fill in Samples a second (Hz)" in stage.session.state()["jobs"][-1]["error"]
     with pytest.raises(RequestError, match="a number"):
         stage.session.export(entry.id, {"kind": "c", "period": "fast"})
 
