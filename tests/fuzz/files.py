@@ -66,6 +66,7 @@ def play(seed, case, note):
 
 def attack(seed, count):
     """Play cases; return the summary without what ended in a library."""
+    sound()  # once, before workers are forked
     found = batches.run(play, seed, count)
     own = [
         each for each in found["findings"] if not (each["ended"] and content_of(seed, each["case"])[0].endswith(IN_C))

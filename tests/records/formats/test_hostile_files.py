@@ -78,7 +78,7 @@ def test_times_that_no_clock_tells_apart():
 # By dice
 
 
-@pytest.mark.parametrize("count", [60, at_night(600), pytest.param(10_000, marks=pytest.mark.fuzz)])
+@pytest.mark.parametrize("count", [120, at_night(1000), pytest.param(10_000, marks=pytest.mark.fuzz)])
 def test_mutated_files(monkeypatch, count):
     monkeypatch.syspath_prepend(places.FUZZ)
     import files
