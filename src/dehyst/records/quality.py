@@ -142,10 +142,7 @@ def _of_samples(whole: Record, record: Record) -> Iterator[str]:
         signals.append(("displacement", "m"))
     else:
         events = int(np.count_nonzero(record.measured))
-        yield (
-            f"The displacement is known at {counted(events, 'event')} of {len(record)} samples; only these count, and "
-            "between them it is a straight line over time."
-        )
+        yield f"The displacement is known at {counted(events, 'event')} of {len(record)} samples; only these count."
     for column, unit in signals:
         step, part = resolution(getattr(record, column))
         moves = np.diff(getattr(record, column)) != 0.0
