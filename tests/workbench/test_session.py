@@ -348,7 +348,7 @@ async def test_deleting_an_entry_ends_what_is_made_for_it(stage):
     await stage.settled()
     assert stage.workers[-1].signals == ["stop"]
     assert stage.session.state()["records"] == []
-    with pytest.raises(SessionError, match="there is none"):
+    with pytest.raises(SessionError, match="does not exist"):
         stage.session.delete(entry.id)
 
 

@@ -105,8 +105,9 @@ def compensate(
         write_table(table, {"time_s": found.cycle.time, **known.table([found.cycle])}, gain)
     if plot is not None:
         run.progress("drawing the path")
+        words = f"After {plans[0].seconds or 0.0:.4g} s that lead to the path." if found is None else "The last cycles."
         shown = plans if found is None else [_last(plans[0], _SHOWN * len(found.cycle))]
-        _draw(plot, known.axes, shown, command=run.command)
+        _draw(plot, words, known.axes, shown, command=run.command)
     axes = [*zip(known.actuators, plans, allowed, slews, volts, strict=True)]
     made: dict[str, Any] = {"samples": size, "output": str(output)}
     if found is not None:
@@ -207,12 +208,13 @@ def _numbers(actuator: Actuator, plan: PathPlan, limits: Limits, slew: float | N
 
 def _last(plan: PathPlan, rows: int) -> PathPlan:
     """Return the last rows of the path of a plan, for a picture."""
+    rows = min(rows, len(plan.phase) - plan.first)
     promise = plan.promise and replace(plan.promise, half=plan.promise.half[-rows:])
     columns = ("time", "phase", "voltage", "displacement", "expected", "clamped")
     return replace(plan, promise=promise, **{name: getattr(plan, name)[-rows:] for name in columns})
 
 
-def _draw(path: Path, axes: Sequence[str], plans: Sequence[PathPlan], *, command: str) -> None:
+def _draw(path: Path, caption: str, axes: Sequence[str], plans: Sequence[PathPlan], *, command: str) -> None:
     """Write a self-contained HTML page with the plan of each axis."""
     from dehyst.report import pictures
     from dehyst.report.html import Charts, Part, document, reproduction, words
@@ -224,8 +226,7 @@ def _draw(path: Path, axes: Sequence[str], plans: Sequence[PathPlan], *, command
             yield "" if plan.promise is None else f"<p>{words(plan.promise.sentence)}</p>"
             charts = [pictures.planned_path(plan), pictures.planned_voltage(plan)]
             charts += [] if plan.promise is None else [pictures.error_band(plan)]
-            before = f"After {plan.seconds:.4g} s that lead to the path." if plan.seconds else "The last cycles."
-            yield Charts("", before, charts, wide=True)
+            yield Charts("", caption, charts, wide=True)
         yield reproduction(command)
 
     write_atomically(path, document("A planned path", parts()))
