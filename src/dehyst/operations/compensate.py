@@ -71,9 +71,8 @@ def compensate(
     with --table also if a voltage is clamped or the cycle is not settled.
     """
     if start is not None and home:
-        raise ModelError(
-            argument="start", got=f"{start} with --home, after which the state is known", need="one of them"
-        )
+        got = f"{start} with --home, after which the state is known"
+        raise ModelError(argument="start", got=got, need="one of them")
     known = AxesModel.read(run, model)
     if on_time is not None and not any(actuator.delay for actuator in known.actuators):
         raise ModelError("has no effect on a model without a delay", argument="on_time", hint="leave it out")
