@@ -119,7 +119,7 @@ def loops(traces: Sequence[Trace]) -> Chart:
 def hysteresis(traces: Sequence[Trace]) -> Chart:
     """Return the loops minus the best straight line through all measured loops."""
     measured, slope = off_line(traces)
-    return replace(_both(traces, measured, f"off a line of {number(slope * 1e6)} µm/V"), zero=True)
+    return replace(_both(traces, measured, f"displacement minus a line of {number(slope * 1e6)} µm/V"), zero=True)
 
 
 def _both(traces: Sequence[Trace], measured: Sequence[Array], quantity: str) -> Chart:
