@@ -30,7 +30,7 @@ def calibrated(tmp_path_factory):
     return result, folder, listener, ends
 
 
-def test_every_axis_follows_the_path_to_three_thousandths(calibrated):
+def test_every_axis_follows_the_path_within_0_3_percent(calibrated):
     result, *_ = calibrated
     assert result.good
     assert max(path.largest_percent for path in result.compensated.each) < 0.3
@@ -46,7 +46,7 @@ def test_voltages_stay_within_limits_and_end_at_safe_values(calibrated):
     assert np.all(np.array(highest) <= HIGHEST)
 
 
-def test_stage_numbers_and_records_are_on_disk(calibrated):
+def test_the_folder_has_stage_numbers_and_records(calibrated):
     result, folder, listener, _ = calibrated
     stage = Stage.load(folder / "stage.json")
     assert stage.axes == ("1", "2", "3")
@@ -59,7 +59,7 @@ def test_stage_numbers_and_records_are_on_disk(calibrated):
     np.testing.assert_array_equal(record.voltage, result.training.voltage)
 
 
-def test_whole_records_of_all_axes_are_kept(calibrated, monkeypatch):
+def test_complete_records_of_all_axes_are_kept(calibrated, monkeypatch):
     result, folder, *_ = calibrated
     monkeypatch.setattr(experiment, "_identified", lambda *_: (result.fit, None))
     (folder / "records" / "nominal.csv").unlink()
@@ -84,7 +84,7 @@ def test_a_folder_of_another_instrument_is_refused(calibrated):
     assert [axis.log.largest_step for axis in bench.axes] == [0.0] * 3
 
 
-def test_a_fault_brings_all_axes_back_and_keeps_the_samples(tmp_path):
+def test_after_a_fault_all_axes_retreat_and_the_samples_are_kept(tmp_path):
     with served("error@900", speed=4.0) as (server, bench), rig_of(server) as rig:
         with pytest.raises(DeviceError):
             calibrate(rig, tmp_path)
@@ -106,7 +106,7 @@ class TestPlan:
         assert np.allclose(steps["axes"].max(axis=0), HIGHEST)
         assert np.allclose(steps["nominal"].max(axis=0), HIGHEST)
 
-    def test_entries_say_how_long_it_plays(self):
+    def test_the_entries_of_a_plan_state_their_durations(self):
         with served() as (server, _), rig_of(server, limits=[(0, 50), (5, 60), (0, 150)], slew_rate=200.0) as rig:
             steps = planned_steps(rig, Plan())
             entries = [step.as_dict(rig) for step in steps]
@@ -115,7 +115,7 @@ class TestPlan:
         assert entries[0]["lowest_V"] == [0.0, 5.0, 0.0]
         assert all(max(entry["steepest_V_per_s"]) <= 200.0 * (1 + 1e-9) for entry in entries)
 
-    def test_a_path_has_the_samples_that_the_plan_says(self, calibrated):
+    def test_a_path_has_the_number_of_samples_of_the_plan(self, calibrated):
         result, *_ = calibrated
         with served() as (server, _), rig_of(server) as rig:
             planned = planned_steps(rig, Plan())[-1].more

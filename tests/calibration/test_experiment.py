@@ -51,7 +51,7 @@ def identified(finished, monkeypatch):
     monkeypatch.setattr(experiment, "_identified", lambda *_: (finished[0].fit, finished[0].insight))
 
 
-def test_the_model_takes_the_hysteresis_out(finished):
+def test_the_model_reduces_the_error_of_the_path(finished):
     found, _, _, _ = finished
     assert found.nominal.largest_percent > 10
     assert found.compensated.largest_percent < 0.2
@@ -62,14 +62,14 @@ def test_the_model_takes_the_hysteresis_out(finished):
     assert found.remarks == ()
 
 
-def test_what_was_put_out_kept_the_limits_and_ended_at_a_safe_voltage(finished):
+def test_the_output_keeps_the_limits_and_ends_at_a_safe_voltage(finished):
     _, _, rig, _ = finished
     log = rig.instrument.axis.log
     assert 0 <= log.lowest <= log.highest <= 200 and log.refused == 0
     assert rig.read().voltage == 0
 
 
-def test_everything_is_on_disk(finished, tmp_path):
+def test_the_folder_has_all_results(finished, tmp_path):
     found, folder, rig, heard = finished
     names = ["recommended", "nominal", "compensated"]
     for name in names:
@@ -84,7 +84,7 @@ def test_everything_is_on_disk(finished, tmp_path):
     assert "Measured along" in page
 
 
-def test_the_error_is_what_was_measured(finished):
+def test_the_stated_error_is_that_of_the_record(finished):
     """Told again from the files alone."""
     found, folder, _, _ = finished
     record = read(folder / "records" / "compensated.csv")
@@ -135,7 +135,7 @@ def test_a_rig_that_warms_drifts_or_reads_wrong_is_remarked(degrees, changes, co
             assert len(found) == count + wrong + (factor != 1)
 
 
-def test_it_goes_on_after_an_interrupt(identified, tmp_path):
+def test_a_calibration_continues_after_an_interrupt(identified, tmp_path):
     truth = PlayActuator()
     first, rig = Heard("nominal", after=500), SimulatedRig(truth)
     with pytest.raises(KeyboardInterrupt) as caught:
@@ -154,7 +154,7 @@ def test_it_goes_on_after_an_interrupt(identified, tmp_path):
 
 
 @pytest.mark.parametrize(("most", "left"), [(0.0, 0.03), (5e-3, 0.015), (10e-3, 5e-4)])
-def test_a_delay_that_the_promise_leaves_out_counts_only_as_far(most, left):
+def test_an_error_is_without_the_delay_that_the_promise_excludes(most, left):
     time = np.linspace(0, 2, 2001)
     wanted, reached = (np.sin(np.pi * (time - late)) for late in (0.0, 0.01))
     error = _apart(TrackedPath(time, wanted, reached, 1.0), most)
@@ -178,14 +178,14 @@ def test_a_model_of_other_limits_is_not_replaced(tmp_path):
     assert (tmp_path / "model.json").read_text() == "{}" and rig.instrument.axis.log.largest_step == 0.0
 
 
-def test_creep_is_seen_and_followed(creeping):
+def test_creep_is_identified_and_compensated(creeping):
     found, _, _ = creeping
     assert found.fit.actuator.displacement_creep is not None
     assert found.compensated.largest_percent < 0.4
 
 
 @pytest.mark.nightly
-def test_a_path_is_not_followed_by_an_old_record_of_what_creeps(creeping, tmp_path):
+def test_with_creep_an_old_record_is_not_followed_by_the_path(creeping, tmp_path):
     """What crept in an hour between the nominal path and the compensated one, a new nominal path tells."""
     # The only test that drives this rig on.
     _, before, rig = creeping
@@ -206,7 +206,7 @@ def test_a_folder_of_another_instrument_is_refused(finished):
         calibrate(rig, folder, watcher=Heard())
 
 
-def test_it_retreats_from_what_stops_it_between_records(tmp_path, monkeypatch):
+def test_an_error_between_records_causes_a_retreat(tmp_path, monkeypatch):
     """The excitation ends at 100 V, where the voltage stays while the model is identified."""
     rising = raised_cosine([200, 100], cycles=1, drive=Excitations((VoltageLimits(0, 200),), 400.0, 1.0).samplings()[0])
     given = Excitation("rising", rising.voltage[:-200], rising.sample_rate)
@@ -226,7 +226,7 @@ def test_it_retreats_from_what_stops_it_between_records(tmp_path, monkeypatch):
     assert rig.instrument.axis.voltage == 0
 
 
-def test_a_rig_that_cannot_begin_leaves_the_records_where_they_are(tmp_path):
+def test_a_rig_that_cannot_begin_does_not_move_the_records(tmp_path):
     rig = SimulatedRig(PlayActuator())
     with pytest.raises(KeyboardInterrupt):
         calibrate(rig, tmp_path, watcher=Heard("recommended", after=100))
@@ -236,7 +236,7 @@ def test_a_rig_that_cannot_begin_leaves_the_records_where_they_are(tmp_path):
     assert sorted(path.name for path in (tmp_path / "records").iterdir()) == before
 
 
-def test_a_wave_that_was_left_playing_is_stopped_first(tmp_path):
+def test_a_wave_that_still_plays_is_stopped_first(tmp_path):
     rig = SimulatedRig(PlayActuator())
     rig.instrument.start(np.linspace(0, 150, 5000), 100)
     first = Heard("recommended", after=100)
@@ -245,7 +245,7 @@ def test_a_wave_that_was_left_playing_is_stopped_first(tmp_path):
     assert read(tmp_path / "records" / "recommended.csv").voltage[0] == 0
 
 
-def test_a_record_without_samples_is_not_left(tmp_path):
+def test_a_record_without_samples_is_removed(tmp_path):
     rig = SimulatedRig(PlayActuator())
     rig._wave = lambda voltage, rate: iter(())
     with pytest.raises(DeviceError, match=r"recorded 0 of \d+ samples") as caught:
@@ -279,7 +279,7 @@ def test_times_that_do_not_rise_evenly_are_refused(time):
         even_rate("wave.csv", np.array(time, dtype=float))
 
 
-def test_the_rate_is_that_of_the_times():
+def test_the_sample_rate_is_that_of_the_times():
     assert even_rate("wave.csv", np.arange(5) / 100) == pytest.approx(100.0)
 
 
@@ -307,7 +307,7 @@ def test_the_path_of_a_calibration_is_planned_at_the_measured_temperature(model)
     assert missed[0] > 1 and missed[1] < 0.25
 
 
-def test_the_drift_of_a_temperature_goes_on_for_as_long_as_it_was_seen():
+def test_the_drift_of_a_temperature_is_extrapolated_for_its_duration():
     time, noise = 0.1 * np.arange(100), np.random.default_rng(0).normal(0, 0.05, 100)
     warm = SimpleNamespace(thermal=0.0)
     for drift in (0.0, 0.2):
@@ -406,7 +406,7 @@ RECORDS = {
 
 
 @pytest.mark.parametrize("name", RECORDS)
-def test_a_damaged_record_is_set_aside_and_played_anew(folder, name):
+def test_a_damaged_record_is_set_aside_and_played_again(folder, name):
     RECORDS[name](folder)
     aside = folder / "records" / "set-aside" / "look.csv"
     assert not go_on(folder, [aside])
@@ -417,7 +417,7 @@ def test_a_damaged_record_is_set_aside_and_played_anew(folder, name):
     assert go_on(folder)
 
 
-def test_nothing_that_was_set_aside_is_replaced(folder):
+def test_records_that_were_set_aside_are_not_replaced(folder):
     aside = folder / "records" / "set-aside"
     aside.mkdir()
     (aside / "look.csv").write_text("first")
@@ -451,7 +451,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_a_folder_that_cannot_be_used_is_refused_in_a_sentence(folder, name):
+def test_an_unusable_folder_is_refused_with_a_sentence(folder, name):
     damage, message = REFUSED[name]
     damage(folder)
     before = sorted(folder.rglob("*"))

@@ -43,7 +43,7 @@ class Host(AbstractRig):
 
 
 @pytest.mark.parametrize("rate", [10.0, 50.0, 200.0])
-def test_a_held_voltage_is_read_in_its_middle(rate):
+def test_the_displacement_is_read_in_the_middle_of_a_held_voltage(rate):
     rig = Host(0.0)
     record = rig.play(Excitation("held", np.linspace(0, 5, 16), rate))
     sent = [at for at, _ in rig.moves[-16:]]

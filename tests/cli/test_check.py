@@ -30,7 +30,7 @@ def test_the_status_says_whether_a_model_is_still_true(folder, record, goal, goo
     assert out.startswith("Recalibrate: ") is not good
 
 
-def test_each_check_is_a_row_of_the_log_and_another_table_is_unchanged(folder):
+def test_each_check_adds_a_row_to_the_log_and_another_table_is_refused(folder):
     for name in ("same", "gain"):
         assert run("check", "model.json", f"{name}.csv", "--log", "log.csv", cwd=folder)[0] == int(name == "gain")
     with (folder / "log.csv").open(newline="") as stream:
@@ -45,7 +45,7 @@ def test_each_check_is_a_row_of_the_log_and_another_table_is_unchanged(folder):
         assert (folder / log).read_bytes() == before
 
 
-def test_a_model_that_has_changed_is_true_again(folder):
+def test_an_updated_model_is_still_true(folder):
     assert run("check", "model.json", "again.csv", cwd=folder)[0] == 1
     status, out, err = run("update", "model.json", "gain.csv", "-o", "new.json", "--json", cwd=folder)
     found = json.loads(out)

@@ -20,7 +20,7 @@ def folder(tmp_path_factory):
     return target
 
 
-def test_a_table_the_figures_and_a_page(folder):
+def test_compare_prints_a_table_and_writes_a_page(folder):
     chosen = [word for name in ("dehyst", "Two Branches", "linear ratio") for word in ("--only", name)]
     words = ["compare", "tops.csv", "--validate", "three.csv", *chosen]
     status, out, err = run(*words, "--verbose", "--report", "page.html", cwd=folder)
@@ -38,7 +38,7 @@ def test_a_table_the_figures_and_a_page(folder):
     assert "Models compared" in (folder / "page.html").read_text()
 
 
-def test_a_failure_of_dehysts_own_model_is_the_status(folder, monkeypatch):
+def test_a_failure_of_the_model_of_dehyst_gives_status_1(folder, monkeypatch):
     def fails(*_, **__):
         raise IdentifyError("no model")
 

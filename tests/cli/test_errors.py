@@ -15,7 +15,7 @@ from dehyst.records.columns import entries_of
 
 
 @pytest.mark.parametrize("kind", [ModelError, RecordError, FileFormatError, LinkError])
-def test_an_error_is_made_of_its_fields(kind):
+def test_a_message_has_the_fields_of_its_error(kind):
     error = kind(argument="limits", got=(5, 2), need="the lower one first", hint="swap them", change=("limits",))
     assert str(error) == "limits: got (5, 2), need the lower one first; swap them"
     assert error.text(str.upper).startswith("LIMITS: got")

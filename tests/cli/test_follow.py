@@ -106,7 +106,7 @@ def test_the_path_is_followed_and_its_record_is_written(folder):
     assert "Measured along a path" in (folder / "once" / "report.html").read_text()
 
 
-def test_a_promise_is_compared_apart_from_the_noise_of_the_sensor(folder):
+def test_the_noise_of_the_sensor_does_not_break_the_promise(folder):
     for noise, stroke, kept in ((60e-9, 1.0, True), (2e-9, 1.03, False)):
         options = f"PlayActuator(noise={noise}, stroke={stroke} * PlayActuator().stroke)"
         (folder / "loud.py").write_text(RIG.replace("PlayActuator(),", f"{options},"))
@@ -189,7 +189,7 @@ def test_feedback_corrects_a_model_that_is_wrong(folder):
     assert errors[1] < 0.5 * errors[0]
 
 
-def test_what_was_recorded_before_a_kill_is_in_the_file(folder):
+def test_samples_before_a_kill_are_in_the_file(folder):
     """Killed without a warning in a learnt path: each sample that the rig gave is in the record."""
     (folder / "told.py").write_text(TOLD)
     words = ("follow", "told.py:make", "--model", "model.json", "--path", "path.csv", "--learn", "-o", "killed")
@@ -199,7 +199,7 @@ def test_what_was_recorded_before_a_kill_is_in_the_file(folder):
     assert len(rows) == int((folder / "given").read_text()) > 1500
 
 
-def test_an_actuator_with_a_delay_is_on_the_path_in_time(folder):
+def test_a_path_is_on_time_despite_a_delay(folder):
     model = dehyst.Actuator.load(folder / "model.json")
     (folder / "late.py").write_text(LATE)
     errors = []
@@ -211,7 +211,7 @@ def test_an_actuator_with_a_delay_is_on_the_path_in_time(folder):
     assert errors[1] < 1
 
 
-def test_the_promise_is_that_of_compensate_and_says_what_is_untested_before_anything_moves(folder):
+def test_follow_prints_the_promise_of_compensate_before_it_moves(folder):
     status, out, _ = run(*WORDS, "--json", cwd=folder)
     assert status == 0
     ran = json.loads(out)
@@ -243,7 +243,7 @@ def test_limits_and_slew_rate_in_force_are_fields_and_notes_if_others_were_given
     assert [len(found) for found in notes.values()] == [0, 1, 0, 0]
 
 
-def test_nothing_winds_up_while_the_voltage_of_a_late_stage_is_slewed(folder):
+def test_the_integral_does_not_wind_up_while_a_stage_with_delay_is_slewed(folder):
     (folder / "late.py").write_text(LATE)
     wanted, errors = np.repeat([3.0, 8, 4, 9, 5, 11], 100), []
     write_columns(folder / "steps.csv", {"time_s": 0.01 * np.arange(600), "displacement_um": wanted})
@@ -256,7 +256,7 @@ def test_nothing_winds_up_while_the_voltage_of_a_late_stage_is_slewed(folder):
     assert errors[1] < 2 * errors[0]
 
 
-def test_a_path_takes_its_time_at_the_rate_that_a_rig_can_play(folder):
+def test_a_path_keeps_its_duration_at_the_rate_of_the_rig(folder):
     wanted = 7 - 3 * np.cos(2 * np.pi * np.arange(801) / 800)
     write_columns(folder / "fine.csv", {"time_s": 0.0025 * np.arange(801), "displacement_um": wanted})
     run("follow", *WORDS[1:4], "--path", "fine.csv", "--feedback", "-o", "fine", cwd=folder)
@@ -283,7 +283,7 @@ def test_a_sensor_without_a_reading_is_refused_before_anything_moves(folder):
     assert (status, "finite" in err, "SystemError" in err) == (1, True, False)
 
 
-def test_the_temperature_of_a_path_counts(folder):
+def test_the_temperature_of_a_path_is_used(folder):
     model = dehyst.Actuator.load(folder / "model.json")
     replace(model, thermal=dehyst.Thermal(-0.07 / 20, 0.0, 20.0)).save(folder / "thermal.json")
     phase = 2 * np.pi * np.arange(200) / 200

@@ -97,7 +97,7 @@ def test_a_time_limit_ends_the_search(folder):
     assert "limit of 0.01 s ended" in out
 
 
-def test_progress_beside_a_terminal_is_a_line_every_few_seconds(monkeypatch, capfd):
+def test_progress_without_a_terminal_is_a_line_every_few_seconds(monkeypatch, capfd):
     now = [0.0]
     monkeypatch.setattr(terminal.time, "monotonic", lambda: now[0])
     progress = terminal.progress_line()

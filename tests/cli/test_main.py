@@ -60,14 +60,14 @@ def test_every_command_prints_the_same_range_and_stroke_of_a_model(folder):
     assert re.search(r"stroke ([\d.]+ um)", shown)[1] in compared
 
 
-def test_the_measured_lag_is_said(folder):
+def test_the_lag_of_a_model_is_printed(folder):
     model = json.loads((folder / "model.json").read_text())
     (folder / "late.json").write_text(json.dumps({**model, "delay_s": 0.25}))
     status, _, err = run("simulate", "late.json", "loops.csv", "-o", "a.csv", cwd=folder)
     assert (status, "250 ms" in err) == (0, True)
 
 
-def test_the_newcomers_trap_is_caught(folder):
+def test_a_model_of_the_major_loop_alone_has_a_warning(folder):
     loops = read_table(folder / "loops.csv")
     rows = np.column_stack([loops.column("time"), loops.column("voltage"), loops.column("displacement") * 1e6])[:1200]
     np.savetxt(folder / "major.csv", rows, delimiter=",", header="time_s,voltage_V,displacement_um", comments="")
@@ -83,7 +83,7 @@ def test_the_newcomers_trap_is_caught(folder):
     assert any("excite recommended" in command for command in found["record_next"])
 
 
-def test_insight_reads_a_path_as_compensate_does(folder):
+def test_insight_and_compensate_read_a_path_alike(folder):
     rows = (folder / "path.csv").read_text().splitlines()[1:]
     (folder / "line.csv").write_text("\n".join(["time_s,x_um", *rows]))
     (folder / "plane.csv").write_text("\n".join(["time_s,x_um,y_um", *(f"{row},7" for row in rows)]))
@@ -126,7 +126,7 @@ def test_help_loads_no_numpy():
         (["identify", "--outptu", "3", "loops.csv"], "--output"),
     ],
 )
-def test_a_slip_of_the_pen_gets_a_suggestion(arguments, suggestion):
+def test_a_mistyped_name_gets_a_suggestion(arguments, suggestion):
     status, out, err = run(*arguments)
     assert (status, out) == (2, "")
     assert re.search(rf"[Dd]id you mean.*'{suggestion}'", err)

@@ -59,7 +59,7 @@ def test_no_command_replaces_a_file_or_writes_into_a_folder_of_others(folder, mo
 
 @pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="a place where nobody may write")
 @pytest.mark.parametrize(("name", "command", "output"), list(writing()))
-def test_the_place_of_an_output_is_tried_before_the_work(folder, monkeypatch, name, command, output):
+def test_the_output_is_tested_before_the_work(folder, monkeypatch, name, command, output):
     """All inputs are absent: a command that did anything before would name one of them."""
     monkeypatch.chdir(folder)
     place = f"/proc/self/out{getattr(output.type, 'suffix', '')}"
@@ -100,7 +100,7 @@ def journey():
     return demo.journey()
 
 
-def test_demo_leaves_its_files_and_beats_the_paper(journey, tmp_path, monkeypatch):
+def test_demo_writes_its_files_and_is_more_accurate_than_the_paper(journey, tmp_path, monkeypatch):
     monkeypatch.setattr(demo, "journey", lambda progress: journey)
     status, out, _ = run("demo", "-o", "d", "--json", cwd=tmp_path)
     numbers = json.loads(out)
@@ -115,7 +115,7 @@ def test_demo_leaves_its_files_and_beats_the_paper(journey, tmp_path, monkeypatc
     assert error == pytest.approx(numbers["compensated"]["largest_percent"], rel=1e-6)
 
 
-def test_demo_replaces_files_by_force_alone(journey, tmp_path, monkeypatch):
+def test_demo_replaces_files_only_with_force(journey, tmp_path, monkeypatch):
     monkeypatch.setattr(demo, "journey", lambda progress: journey)
     (tmp_path / "loops.csv").write_text("mine")
     assert [run("demo", "-o", tmp_path, *more, keep=True)[0] for more in ((), ("--force",))] == [2, 0]

@@ -15,7 +15,7 @@ THERMAL = dehyst.Thermal(-2.5e-3, 4e-9, 30.0)
 TIME = np.arange(300) * 0.01
 
 
-def test_the_reach_of_a_path_is_that_at_its_temperature(tmp_path):
+def test_the_reach_depends_on_the_temperature_of_the_path(tmp_path):
     """The reach at 60 degC ends lower than at the reference, at 30 degC."""
     replace(COLD, thermal=THERMAL).save(tmp_path / "model.json")
     low, high = (1e6 * THERMAL.warmed(np.array(COLD.reach), 60.0)).tolist()
@@ -29,7 +29,7 @@ def test_the_reach_of_a_path_is_that_at_its_temperature(tmp_path):
     assert f"{low:.4g} to {high:.4g} um" in said[1][0] and f"to {high + 0.1:.6g} um" in said[1][0]
 
 
-def test_a_model_without_the_part_ignores_the_column_and_says_so(tmp_path):
+def test_a_model_without_temperature_ignores_the_column_and_says_so(tmp_path):
     COLD.save(tmp_path / "cold.json")
     columns = {"time_s": TIME, "displacement_um": 6 - 3 * np.cos(np.pi * TIME)}
     write_columns(tmp_path / "path.csv", columns)

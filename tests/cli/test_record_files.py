@@ -73,7 +73,7 @@ def test_show_counts_the_values_of_a_column_that_are_not_finite(tmp_path, monkey
     assert ranges[3:] == [[2.0, 39.0], []]
 
 
-def test_a_monitor_and_a_sensor_in_four_commands(monitor):
+def test_four_commands_lead_from_monitor_and_sensor_voltages_to_a_model(monitor):
     """Semicolons, millivolts of a monitor of 1:100, and a sensor of 10 um/V."""
     identify = ["identify", "monitor.csv", "-o", "model.json", "--structure", "maxwell_slip"]
     first = run(*identify)
@@ -94,7 +94,7 @@ def test_a_monitor_and_a_sensor_in_four_commands(monitor):
     assert np.abs(played - table.column("displacement"))[path].max() < 1e-12
 
 
-def test_scales_for_commands_that_read_one_column(monitor):
+def test_commands_that_read_one_column_accept_its_scale(monitor):
     laboratory_files.lecroy(monitor / "known.csv")
     known = ("--columns", "time=Time:s, voltage=Ampl:V")
     run("identify", "known.csv", "-o", "model.json", "--structure", "maxwell_slip", *known)

@@ -34,7 +34,7 @@ def rows(path):
 
 @pytest.mark.parametrize("model", ["model.json", "creep.json"])
 @pytest.mark.parametrize("start", ["", "top"])
-def test_the_rows_of_both_files_are_those_of_the_wave_table(folder, model, start):
+def test_both_files_have_the_rows_of_the_wave_table(folder, model, start):
     given = TOP if start else ("--home", "--present", 20)
     status, told = result("compensate", model, "scan.csv", *given, "--table", "t.csv", "-o", "o.csv", cwd=folder)
     actuator = Actuator.load(folder / model)
@@ -53,7 +53,7 @@ def test_the_rows_of_both_files_are_those_of_the_wave_table(folder, model, start
     assert (folder / "o.csv").read_text().startswith("time_s,phase,displacement_um,voltage_V,expected_um\n")
 
 
-def test_an_axis_of_a_raster_and_steps(folder):
+def test_an_axis_of_a_raster_and_steps_are_compensated(folder):
     plane = ("raster", "--low", 2, "--high", 12, "--frequency", 10, "--lines", 4, "--y-low", 3, "--y-high", 6)
     assert run("scan", *plane, "-o", "raster.csv", cwd=folder)[0] == 0
     for axis, ends in {"x": (2, 12), "y": (3, 6)}.items():
@@ -68,7 +68,7 @@ def test_an_axis_of_a_raster_and_steps(folder):
     assert run("scan", *steps, "--cycles", 2, "-o", "raster.csv", cwd=folder)[0] == 0
 
 
-def test_what_is_not_settled_ends_with_status_1(folder):
+def test_a_table_that_is_not_settled_gives_status_1(folder):
     given = ("scan.csv", "--table", "t.csv", "--start", "relaxed")
     status, told = result("compensate", "slow.json", *given, "--start-up", "1", "-o", "o.csv", cwd=folder)
     assert (status, told["settled"], told["clamped"]) == (1, False, 0)

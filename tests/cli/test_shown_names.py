@@ -24,7 +24,7 @@ UNSAFE = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u206
 posix = pytest.mark.skipif(sys.platform == "win32", reason="devices, pipes and names of POSIX")
 
 
-def test_text_is_escaped_where_a_terminal_would_obey_it():
+def test_control_characters_are_escaped():
     assert escaped(NASTY) == escaped(SAID) == SAID
     plain = "Aktor Ä, µm, \u00a0пьезо, 圧電 100 %"
     assert escaped(plain) == plain
@@ -33,7 +33,7 @@ def test_text_is_escaped_where_a_terminal_would_obey_it():
 
 # Not st.text(): its first draw takes seconds on a cold machine.
 @given(st.lists(st.integers(0, 0x10FFFF) | st.integers(0, 0x2100)))
-def test_nothing_escaped_is_obeyed(codes):
+def test_escaped_text_has_no_control_characters(codes):
     text = "".join(map(chr, codes))
     assert not UNSAFE.search(escaped(text).encode().decode()) and "\n" not in escaped(text)
 
@@ -59,7 +59,7 @@ def loops(tmp_path_factory):
 
 
 @posix
-def test_a_name_that_a_terminal_would_obey_is_escaped_wherever_it_is_shown(tmp_path, loops):
+def test_a_name_with_control_characters_is_escaped_everywhere(tmp_path, loops):
     name = f"{NASTY}.csv"
     (tmp_path / name).write_text(loops)
     quick = ["--verbose", "--structure", "maxwell_slip"]
@@ -98,7 +98,7 @@ def test_a_model_with_such_a_name_is_escaped_in_every_output(tmp_path, loops, mo
 
 @pytest.mark.nightly
 @pytest.mark.skipif(sys.platform != "linux", reason="names of any bytes")
-def test_names_that_are_no_utf8_and_streams_of_ascii(tmp_path, loops):
+def test_names_without_utf8_and_ascii_streams_are_possible(tmp_path, loops):
     name = os.fsdecode(b"caf\xe9 \xc2\xb5.csv")
     (tmp_path / name).write_text(loops)
     quick = ["--verbose", "--structure", "maxwell_slip", "-o", "m.json", "--report", "r.html", "--force"]

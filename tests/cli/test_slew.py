@@ -49,7 +49,7 @@ def jumps(result):
     ("model", "path"),
     [("model", ("slow.csv",)), ("stage", ("slow_axes.csv",)), ("model", ("scan.csv", "--table", "table.csv"))],
 )
-def test_a_jump_from_an_unknown_voltage_is_remarked_and_the_way_from_a_given_one_is_written(folder, model, path):
+def test_a_jump_is_remarked_and_a_given_voltage_gets_a_way(folder, model, path):
     words, axes = ("compensate", f"{model}.json", *path, "--no-home", "-o", "v.csv"), 2 if model == "stage" else 1
     assert len(jumps(result(*words, cwd=folder)[1])) == axes
     status, found = result(*words, "--present", 90, cwd=folder)
@@ -70,7 +70,7 @@ def test_an_excitation_states_the_speed_that_it_needs(tmp_path, limit):
 KEPT = "voltage=Monitor:V*15, displacement=Sensor:um"
 
 
-def test_later_commands_read_and_move_as_the_model_keeps_it(tmp_path):
+def test_later_commands_use_the_columns_and_the_slew_rate_of_the_model(tmp_path):
     record = record_loops()[0]
     columns = {"time_s": record.time, "Monitor": record.voltage / 15, "Sensor": 1e6 * record.displacement}
     write_columns(tmp_path / "own.csv", columns)

@@ -53,7 +53,7 @@ def test_identify_writes_stage_and_report(folder):
     assert "Axis x" in page and "Axis y" in page and page.count("data-chart=") >= 4
 
 
-def test_bare_columns_are_taken_by_their_names_too(folder):
+def test_columns_without_units_are_found_by_their_names(folder):
     words = ["compensate", folder / "stage.json", folder / "bare-path.csv"]
     path = {"x_um": np.linspace(4.0, 8.0, 50), "y_um": np.linspace(9.0, 6.0, 50)}
     write_columns(folder / "bare-path.csv", path | {"b_um": path["y_um"]})
@@ -88,7 +88,7 @@ def make(limits, slew_rate):
 """
 
 
-def test_several_axes_of_a_rig_of_ones_own_are_named(tmp_path):
+def test_axes_of_a_user_defined_rig_are_named(tmp_path):
     (tmp_path / "pair.py").write_text(OWN_RIG)
     words = ["calibrate", tmp_path / "pair.py:make", "--dry-run", "-o", tmp_path / "kept", "--limits", "0", "80"]
     assert "--axes x,y" in refused(*words)["message"]
@@ -120,7 +120,7 @@ def test_an_interrupted_identification_of_axes_writes_nothing(folder, monkeypatc
     assert not (folder / "never.json").exists()
 
 
-def test_show_check_and_insight(folder):
+def test_show_check_and_insight_accept_a_stage(folder):
     assert "condition" in run("show", folder / "stage.json")
     assert "Axis y" in run("show", folder / "stage.csv", "--columns", AXES)
     assert "Coupling: as in the model" in run("check", folder / "stage.json", folder / "stage.csv")
@@ -137,7 +137,7 @@ def test_a_record_of_axes_is_shown_and_written(folder):
     assert np.array_equal(again.voltage, read(folder / "stage.csv", AXES).voltage)
 
 
-def test_a_check_of_a_stage_is_a_row_an_axis_of_the_log(folder):
+def test_a_check_of_a_stage_adds_a_row_per_axis_to_the_log(folder):
     found = json.loads(run("check", folder / "stage.json", folder / "stage.csv", "--log", folder / "log.csv", "--json"))
     assert set(found["axes"]) == {"x", "y"}
     header, *rows = (folder / "log.csv").read_text().splitlines()
@@ -180,7 +180,7 @@ def test_a_record_with_scales_is_checked_with_and_without_columns(folder, scaled
     assert np.allclose(own["coupling"], plain["coupling"], rtol=1e-9, atol=1e-12)
 
 
-def test_scales_of_records_are_not_those_of_paths_and_voltages(folder, scaled):
+def test_scales_of_records_do_not_apply_to_paths_and_voltages(folder, scaled):
     write_columns(folder / "plain.csv", {"x_um": np.linspace(4.0, 8.0, 50), "y_um": np.linspace(9.0, 6.0, 50)})
     for name in ("stage", "scaled"):
         run("compensate", folder / f"{name}.json", folder / "plain.csv", "-o", folder / f"{name}-v.csv")

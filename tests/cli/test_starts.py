@@ -41,7 +41,7 @@ def column(folder, file, name):
 
 
 @pytest.mark.parametrize("file", ["path.csv", "timeless.csv"])
-def test_of_an_output_only_the_voltages_are_a_start(folder, file):
+def test_a_file_of_compensate_is_a_start_only_by_its_voltages(folder, file):
     """The wanted displacement of an earlier path is no measurement, even where the path was not followed."""
     wanted = {column.name: column.data for column in read_table(folder / file).columns}
     write_columns(folder / "wanted.csv", wanted | {"displacement_um": wanted["displacement_um"] + 3})
@@ -75,7 +75,7 @@ def test_a_start_of_another_unit_or_actuator_is_refused(folder, command):
     assert status in (0, 1) and "history.csv: 1 of 3 voltages" in err
 
 
-def test_a_homing_that_leaves_the_start_open_has_one_status_however_it_was_asked_for(folder):
+def test_an_insufficient_homing_has_the_same_status_with_every_option(folder):
     replace(plain_records.plant(6), limits=(0.0, 100.0)).save(folder / "narrow.json")
     write_columns(folder / "low.csv", {"time_s": [0, 1, 2], "displacement_um": [3, 4, 3]})
     words = ("compensate", "narrow.json", "low.csv", "-o", "v.csv")
@@ -84,7 +84,7 @@ def test_a_homing_that_leaves_the_start_open_has_one_status_however_it_was_asked
     assert result(*words, "--no-home", cwd=folder)[0] == 0
 
 
-def test_the_answer_comes_first_and_the_rest_by_verbose(folder):
+def test_details_are_printed_only_with_verbose(folder):
     tested = Validity(1e-8, 1e-7, 0.0, 1.2e-5, limits=(0.0, 200.0), speeds=(1.0, 50.0))
     model = with_identification(replace(plain_records.plant(6), limits=(0.0, 200.0)), validity=tested)
     model.save(folder / "tested.json")
@@ -96,7 +96,7 @@ def test_the_answer_comes_first_and_the_rest_by_verbose(folder):
     assert run(*words, cwd=folder, keep=True)[0] == 2
 
 
-def test_a_path_that_lies_beyond_a_limit_as_a_whole_has_status_1(folder):
+def test_a_path_completely_beyond_a_limit_has_status_1(folder):
     """Far beyond the records, the promise is larger than the miss."""
     write_columns(folder / "beyond.csv", {"time_s": np.arange(50) * 0.1, "displacement_um": np.linspace(25, 27, 50)})
     words = ("compensate", "model.json", "beyond.csv", "-o", "v.csv", "--start", "top", "--limits", 0)
@@ -117,7 +117,7 @@ def test_inputs_of_an_amplifier_are_the_voltages_over_its_gain(folder, words):
     assert run(*words, "-o", "v.csv", "--gain", 0, cwd=folder)[0] == 2
 
 
-def test_the_duration_of_a_homing_is_told_without_the_way(folder):
+def test_the_printed_duration_of_a_homing_excludes_the_way(folder):
     words = ("compensate", "creep.json", "path.csv", "-o", "v.csv", "--home-within", 5)
     _, told = result(*words, cwd=folder)
     time, phase = column(folder, "v.csv", "time_s"), column(folder, "v.csv", "phase")

@@ -25,7 +25,7 @@ PRINTING = [["--help"], ["excite", "raised-cosine", "10", "-o", "v.csv", "--json
 
 @full
 @pytest.mark.parametrize("command", PRINTING, ids=" ".join)
-def test_a_full_disk_under_standard_output_is_a_sentence(folder, command):
+def test_a_full_disk_for_standard_output_is_reported(folder, command):
     with FULL.open("wb") as stream:
         status, _, err = run(*command, cwd=folder, stdout=stream)
     assert status == 1
@@ -36,7 +36,7 @@ def test_a_full_disk_under_standard_output_is_a_sentence(folder, command):
 
 @posix
 @pytest.mark.parametrize("command", PRINTING, ids=" ".join)
-def test_a_reader_that_has_gone_is_left_quietly(folder, command):
+def test_a_closed_pipe_ends_the_command_silently(folder, command):
     read, write = os.pipe()
     os.close(read)
     status, _, err = run(*command, cwd=folder, stdout=write)
@@ -45,7 +45,7 @@ def test_a_reader_that_has_gone_is_left_quietly(folder, command):
 
 
 @full
-def test_a_standard_error_that_is_full_or_closed_changes_no_result(folder):
+def test_a_full_or_closed_standard_error_does_not_change_the_result(folder):
     command = ["compensate", "model.json", "path.csv", "-o", "o.csv", "--limits", "0", "0.5", "--force"]
     status, out, err = run(*command, cwd=folder)
     assert status == 1 and "CLAMPED" in err
@@ -56,7 +56,7 @@ def test_a_standard_error_that_is_full_or_closed_changes_no_result(folder):
 
 
 @full
-def test_a_full_device_as_output_is_a_sentence(folder):
+def test_a_full_device_as_output_is_reported(folder):
     (folder / "full.csv").symlink_to(FULL)
     status, out, err = run("excite", "raised-cosine", "10", "-o", "full.csv", cwd=folder)
     assert (status, out) == (2, "")
@@ -69,7 +69,7 @@ def test_a_full_device_as_output_is_a_sentence(folder):
 
 # Modules whose loading is interrupted: of the command line, of the command, and none, so that it runs.
 @pytest.mark.parametrize("module", ["click", "dehyst.cli.command", "numpy", "its work"])
-def test_ctrl_c_is_a_sentence(module, tmp_path):
+def test_ctrl_c_is_reported(module, tmp_path):
     stop = "os.kill(os.getpid(), signal.SIGINT) or time.sleep(60)"
     code = (
         f"import builtins, os, signal, sys, time, types\nload, work = builtins.__import__, {module == 'its work'}\n"
@@ -123,7 +123,7 @@ def test_a_model_of_gigabytes_is_refused_by_its_size(folder):
     assert status == 2 and "has 4000 MB" in err
 
 
-def test_commands_print_by_one_door():
+def test_only_one_module_prints():
     rooms = Path(dehyst.cli.commands.__file__).parent, Path(dehyst.operations.__file__).parent
     paths = {path for room in rooms for path in room.glob("*.py")} - {rooms[0] / "terminal.py"}
     assert len(paths) > 8

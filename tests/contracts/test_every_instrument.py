@@ -104,7 +104,7 @@ class TestEveryInstrument(RigContract):
         return request.param
 
 
-def test_the_rehearsal_finds_every_planted_fault():
+def test_the_suite_for_rigs_finds_every_planted_fault():
     command = [sys.executable, "-m", "pytest", "-q", "--tb=no", "-n", "0", "-p", "no:cacheprovider", "-c", os.devnull]
     place = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     done = subprocess.run([*command, planted_faults.__file__], capture_output=True, text=True, check=False, env=place)

@@ -50,7 +50,7 @@ def calls_of(loop, near):
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e308, "1", None, [1e-6], 1j])
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_no_displacement_or_voltage_moves_nothing(kind, bad):
+def test_an_input_that_is_no_number_changes_nothing(kind, bad):
     # The voltage is finite, and is clamped.
     if (kind, bad) == ("plain", 1e308):
         return
@@ -67,7 +67,7 @@ def test_what_is_no_displacement_or_voltage_moves_nothing(kind, bad):
 
 
 @pytest.mark.parametrize("kind", ["stage", "bank"])
-def test_a_number_of_displacements_that_does_not_fit_moves_nothing(kind):
+def test_a_wrong_number_of_displacements_changes_nothing(kind):
     loop, near, _ = loop_of(kind)
     before = memory(loop)
     for values in (np.tile(near, (4, 2)), near, np.tile(near, (4, 1)) * 1j):
@@ -79,7 +79,7 @@ def test_a_number_of_displacements_that_does_not_fit_moves_nothing(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_clamp_that_is_made_an_error_moves_nothing(kind):
+def test_a_clamp_warning_as_an_error_changes_nothing(kind):
     loop, near, far = loop_of(kind)
     before = memory(loop)
     for call in calls_of(loop, near).values():

@@ -39,11 +39,11 @@ def path(request, sound, tmp_path):
     return shutil.copy(sound / request.param, tmp_path / request.param)
 
 
-def test_every_suffix_has_a_file_here():
+def test_every_suffix_has_a_test_file():
     assert {Path(name).suffix for name in NAMES} == set(LOADERS) - {".asc"}
 
 
-def test_a_sound_file_is_read(path):
+def test_a_valid_file_is_read(path):
     first, second = read(path), read(path)
     for name in ("time", "voltage", "displacement"):
         got, expected = getattr(first, name), getattr(RECORD, name)
@@ -54,7 +54,7 @@ def test_a_sound_file_is_read(path):
     assert len(read(path.rename(path.with_suffix(path.suffix.upper())))) == len(RECORD)
 
 
-def test_its_columns_are_numbers_with_names(path):
+def test_the_columns_of_a_file_are_numbers_with_names(path):
     columns = read_table(path).columns
     assert columns
     for column in columns:
@@ -75,13 +75,13 @@ def test_foreign_content_is_refused(path, content):
         assert caught.value.got and caught.value.need and caught.value.hint
 
 
-def test_the_limit_of_bytes_holds(path, monkeypatch):
+def test_a_file_with_too_many_bytes_is_refused(path, monkeypatch):
     monkeypatch.setattr(files, "MOST", path.stat().st_size - 1)
     with pytest.raises(FileFormatError, match="MB at most"):
         read(path)
 
 
-def test_the_allowance_of_memory_holds(path):
+def test_a_file_that_needs_too_much_memory_is_refused(path):
     """With memory for one column only, a file of several is refused: its reader takes the numbers first."""
     with path.open("rb") as stream, pytest.raises(FileFormatError):
         LOADERS[path.suffix](stream, Allowance(8 * len(RECORD), path.stem))

@@ -150,12 +150,12 @@ def wanted_of(compensator):
     return np.concatenate([near, low + (high - low) * share])
 
 
-def test_every_target_but_the_fmu_is_run():
+def test_every_target_except_the_fmu_is_tested():
     assert {*RUNS, ".fmu"} == set(TARGETS)
 
 
 @pytest.mark.parametrize("suffix", TARGETS)
-def test_what_is_written_is_declared_and_the_same_again(suffix, tmp_path):
+def test_a_target_writes_the_declared_files_with_the_same_content_again(suffix, tmp_path):
     status, values, path = exported(tmp_path / "a", PLAIN, f"stage{suffix}")
     before = content(path)
     assert (status, values["path"]) == (0, str(path)), values
@@ -171,7 +171,7 @@ def test_what_is_written_is_declared_and_the_same_again(suffix, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", TARGETS)
-def test_the_file_of_somebody_else_is_kept(suffix, tmp_path):
+def test_other_files_are_kept(suffix, tmp_path):
     mine = tmp_path / f"stage{suffix}"
     if not suffix:
         mine.mkdir()
@@ -189,7 +189,7 @@ def test_an_export_has_the_voltages_of_the_compensator_to_the_bit(suffix, kind, 
 
 @pytest.mark.parametrize("kind", BEGINNINGS)
 @pytest.mark.parametrize("suffix", RUNS)
-def test_an_export_begins_as_the_compensator(suffix, kind, tmp_path):
+def test_an_export_begins_in_the_state_of_the_compensator(suffix, kind, tmp_path):
     compare(suffix, tmp_path, **{"model": PLAIN, **BEGINNINGS[kind]})
 
 

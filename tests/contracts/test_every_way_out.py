@@ -17,12 +17,12 @@ pytestmark = pytest.mark.filterwarnings("ignore")
 
 @examples(30, nightly=200)
 @given(st.integers(0, 2**32 - 1))
-def test_random_lives_never_jump(seed):
+def test_random_calls_never_make_the_voltage_jump(seed):
     assert ways_out.play(seed, 0, lambda _: None) == []
 
 
 @pytest.mark.parametrize("call", ways_out.SHARES)
-def test_each_way_alone_never_jumps(call):
+def test_each_call_alone_never_makes_the_voltage_jump(call):
     counts = Counter()
     for case in range(6 if call in ("table", "stage_home") else 20):
         life = ways_out.Life(np.random.default_rng([11, case]), lambda word: counts.update([word]))
@@ -32,7 +32,7 @@ def test_each_way_alone_never_jumps(call):
     assert counts["voltages"] or call == "reset"
 
 
-def test_a_jump_is_found():
+def test_the_check_finds_a_jump():
     """The check sees what it is for."""
     life = ways_out.Life(np.random.default_rng(3))
     step = life.slew * life.period
@@ -41,7 +41,7 @@ def test_a_jump_is_found():
     assert len(life.findings) == 2
 
 
-def test_a_steep_end_of_the_spring_makes_no_first_jump():
+def test_the_first_voltage_is_that_of_the_state_if_the_spring_has_a_steep_end():
     """The voltage of a state was rounded to 0 V by the range of the whole spring."""
     spring = Spring([0, 1e-5, 1.1e-5], [0, 10, 1e30])
     actuator = Actuator(MaxwellSlip([1e-6], [1e6]), spring, limits=(0, 10))

@@ -49,7 +49,7 @@ def scales(actuator):
 
 
 @given(our.motions(max_samples=12), our.SEEDS)
-def test_force_balance(motion, seed):
+def test_every_sample_satisfies_the_force_balance(motion, seed):
     """Eq. 2: v = sum kappa_i s_i + eta(y) after every sample, with every |s_i| <= rho_i."""
     actuator, state, path = motion
     slip = actuator.slip
@@ -66,7 +66,7 @@ def in_newtons(actuator):
 
 
 @given(SOME, our.SEEDS)
-def test_peak_voltage(actuator, seed):
+def test_the_peak_voltage_is_that_of_equation_4(actuator, seed):
     """Eq. 4: once every element has slid, F0 = sum f_i + keq X + g(X), in newtons."""
     rho, top = actuator.slip.breakaway, actuator.spring.displacement[-1]
     bottom = top - 2 * rho[-1]
@@ -78,7 +78,7 @@ def test_peak_voltage(actuator, seed):
 
 
 @given(SOME)
-def test_break_points(actuator):
+def test_break_points_have_the_forces_of_equations_6_and_7(actuator):
     """Eqs. 6 and 7: the force at X - 2 r_i going down and at x(T0) + 2 r_i going up, in the paper's symbols."""
     bottom, top = major(actuator)
     slip, paper = actuator.slip, in_newtons(actuator)
@@ -100,7 +100,7 @@ def test_break_points(actuator):
 
 
 @given(SOME, our.SEEDS, our.SEEDS)
-def test_lemma_1(actuator, seed, other):
+def test_the_state_after_all_elements_slid_is_independent_of_the_start(actuator, seed, other):
     """Once every element has slid, the state does not depend on the start."""
     v, metres = scales(actuator)
     bottom, top = major(actuator, 2)
@@ -116,7 +116,7 @@ def test_lemma_1(actuator, seed, other):
 
 
 @given(AFFINE)
-def test_lemma_2(actuator):
+def test_with_an_affine_spring_the_loop_is_antisymmetric(actuator):
     """With an affine spring the loop is anti-symmetric about its centre."""
     bottom, top = major(actuator)
     rise = np.linspace(bottom, top, 101)
@@ -126,7 +126,7 @@ def test_lemma_2(actuator):
 
 
 @given(SOME, our.SEEDS)
-def test_masing(actuator, seed):
+def test_the_curve_after_a_reversal_is_the_doubled_virgin_curve(actuator, seed):
     """After a reversal the stops' force follows the virgin curve phi doubled: F_R - 2 phi(u / 2)."""
     slip = actuator.slip
     y0 = actuator.relaxed().deformation
@@ -140,7 +140,7 @@ def test_masing(actuator, seed):
 
 
 @given(SOME, our.SEEDS, our.SEEDS)
-def test_congruency(actuator, seed, other):
+def test_loops_between_equal_displacements_are_congruent(actuator, seed, other):
     """Closed loops between the same two displacements differ by a constant voltage, whatever came before."""
     bottom, top = np.sort(np.random.default_rng(seed).uniform(*major(actuator), 2))
     loop = np.concatenate([np.linspace(bottom, top, 40), np.linspace(top, bottom, 40)])
@@ -150,7 +150,7 @@ def test_congruency(actuator, seed, other):
 
 
 @given(SOME, st.floats(0.1, 3))
-def test_dissipation_is_what_friction_takes(actuator, width):
+def test_a_loop_dissipates_the_work_of_friction(actuator, width):
     """A loop of range R loses sum 2 f_i max(0, R - 2 r_i): nothing at all while no element slides."""
     rho, friction = actuator.slip.breakaway, actuator.slip.friction
     size = 2 * width * rho[min(1, rho.size - 1)]
@@ -166,7 +166,7 @@ def test_dissipation_is_what_friction_takes(actuator, width):
 
 @given(our.motions(SOME, max_samples=1), our.SEEDS)
 @settings(max_examples=30)
-def test_physical_units(motion, seed):
+def test_the_equations_hold_in_physical_units(motion, seed):
     """Eqs. 1-3 in newtons: T v = sum k_i s_i + keq x + g(x), f_i = k_i r_i, y = (keq / km) x; Sec. 4's T, km, ke."""
     actuator, state, _ = motion
     paper = in_newtons(actuator)

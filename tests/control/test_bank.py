@@ -64,7 +64,7 @@ def slews(actuators, share):
 
 @examples(8, nightly=50)
 @given(SEEDS, st.integers(1, 40), st.sampled_from([0.05, 0.6, 5.0]))
-def test_it_gives_each_the_bits_of_its_own_compensator(seed, count, share):
+def test_each_actuator_of_a_bank_has_the_bits_of_its_own_compensator(seed, count, share):
     actuators = mixed(seed, count)
     wanted, slew = paths(actuators, 80, seed), slews(actuators, share)
     bank = Bank(actuators, slew_rate=slew, period=PERIOD)
@@ -76,7 +76,7 @@ def test_it_gives_each_the_bits_of_its_own_compensator(seed, count, share):
         assert bank.states[i].as_dict() == compensator.state.as_dict()
 
 
-def test_clamping_is_said_once_of_a_kind_and_counted():
+def test_each_kind_of_clamp_is_warned_of_once_and_counted():
     actuators = mixed(2, 12)
     bank = Bank(actuators, period=PERIOD, slew_rate=slews(actuators, 0.1))
     wanted = paths(actuators, 60, 2, beyond=0.2)
@@ -103,6 +103,6 @@ def test_clamping_is_said_once_of_a_kind_and_counted():
         ([*PLAIN, "stage"], {"period": PERIOD}, r"actuator 3.*str.*Actuator"),
     ],
 )
-def test_what_does_not_fit_is_refused(actuators, options, message):
+def test_arguments_of_the_wrong_size_are_refused(actuators, options, message):
     with pytest.raises(ModelError, match=message):
         Bank(actuators, **options)

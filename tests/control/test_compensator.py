@@ -71,7 +71,7 @@ def gap(first, other):
 
 
 @given(st.sampled_from(STRUCTURES), st.integers(0, 10**6))
-def test_what_is_not_clamped_is_followed(name, seed):
+def test_a_path_without_clamps_is_followed(name, seed):
     actuator, path = PLANTS[name], wanted(seed)
     start = started(actuator, seed)
     compensator = Compensator(actuator, (30.0, 140.0), period=PERIOD, state=start)
@@ -89,7 +89,7 @@ def test_what_is_not_clamped_is_followed(name, seed):
 
 
 @pytest.mark.parametrize("name", sorted(PLANTS))
-def test_a_start_beyond_the_limits_is_taken_to_have_been_brought_to_the_nearest(name):
+def test_a_start_beyond_the_limits_begins_at_the_nearest_limit(name):
     actuator = PLANTS[name]
     high = 0.5 * actuator.voltage(turned(actuator, 0.9 * plain_records.STROKE))
     compensator = Compensator(
@@ -107,7 +107,7 @@ def test_a_start_beyond_the_limits_is_taken_to_have_been_brought_to_the_nearest(
 
 
 @pytest.mark.parametrize("volts", [-40.0, 3.4, 91.6])
-def test_a_voltage_from_which_no_step_returns_within_the_slew_rate_is_refused(volts):
+def test_a_voltage_from_which_no_step_returns_to_the_limits_is_refused(volts):
     """A sample must be within the limits, and no farther than 1.5 V from the one before."""
     compensator = Compensator(PLANT, (5, 90), 1500.0, period=1e-3, warns=False)
     before = compensator.voltage
@@ -128,7 +128,7 @@ def said_of(call, wanted):
     return [warning.message for warning in heard]
 
 
-def test_a_step_that_the_slew_rate_holds_back_names_the_voltage_before():
+def test_a_slewed_step_names_the_previous_voltage():
     options = {"limits": (0.0, 200.0), "slew_rate": 1e3, "period": 1e-3}
     low, given = 0.2 * plain_records.STROKE, turned(PLANT, 0.9 * plain_records.STROKE)
     for state in (None, given):
@@ -158,7 +158,7 @@ def test_a_snapshot_of_another_loop_is_refused():
 
 
 @pytest.mark.parametrize("name", sorted(PLANTS))
-def test_another_model_of_the_same_shape_goes_on_from_a_snapshot(name):
+def test_another_model_of_the_same_shape_continues_from_a_snapshot(name):
     """The voltage changes no faster than the slew rate."""
     actuator, path = PLANTS[name], wanted(11)
     other = OTHERS[name]
@@ -195,7 +195,7 @@ def test_two_threads_cannot_share_a_loop(ask):
 
 
 @pytest.mark.parametrize("period", [1e-12, 1e-300])
-def test_a_period_too_short_to_look_ahead_is_refused(period):
+def test_a_period_too_short_for_the_preview_is_refused(period):
     for parts in ({"delay": 1e-3}, {"dynamics": Dynamics(15.9, 0.1)}):
         with pytest.raises(ModelError, match="look ahead"):
             Compensator(replace(PLANT, **parts), FREE, period=period, preview=True).step(0.0)
@@ -222,7 +222,7 @@ def smooth_path(time, frequency=3.0):
 
 @pytest.mark.parametrize("parts", ["inertia", "series", "all that moves"])
 @pytest.mark.parametrize("delay", [0.0, 3.0, 2.4])
-def test_preview_makes_up_for_delay_and_inertia(parts, delay):
+def test_preview_compensates_delay_and_inertia(parts, delay):
     """The error falls with the period squared or more; without preview it is what inertia and delay make of it."""
     errors = []
     for period in (PERIOD, PERIOD / 2):
@@ -242,7 +242,7 @@ def test_preview_makes_up_for_delay_and_inertia(parts, delay):
 
 
 @pytest.mark.parametrize("name", sorted(PLANTS))
-def test_the_reach_is_where_slow_loops_turn(name):
+def test_slow_loops_turn_at_the_reach(name):
     actuator = PLANTS[name]
     compensator = Compensator(actuator, (20, 140), period=PERIOD)
     low, high = compensator.reach
@@ -307,7 +307,7 @@ def test_a_long_run_agrees_with_steps_to_rounding(kind, slew):
 
 
 @pytest.mark.parametrize("elements", [3, 6, 10, 20])
-def test_a_state_after_0_volts_is_held_by_0_volts(elements):
+def test_a_state_at_0_volts_begins_with_0_volts(elements):
     """Not by what rounding leaves of them; a small voltage is kept."""
     actuator = replace(plain_records.plant(elements), limits=(0.0, 200.0))
     for seed in range(20):
@@ -319,7 +319,7 @@ def test_a_state_after_0_volts_is_held_by_0_volts(elements):
 
 
 @pytest.mark.parametrize("far", [4.0, 1e40])
-def test_a_clamped_step_with_preview_leaves_no_creep_behind(far):
+def test_the_memory_of_creep_is_right_after_a_clamped_step_with_preview(far):
     creeping = replace(PLANT, delay=9e-5, displacement_creep=DisplacementCreep([0.1, 10.0], [0.01, 0.02]))
     loop = Compensator(creeping, (0, 200), period=2e-4, preview=True, warns=False)
     loop.run([3e-6, far, *[3e-6] * 5000])

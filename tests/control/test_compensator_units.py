@@ -17,7 +17,7 @@ def pair(units="um", **options):
 
 
 @pytest.mark.parametrize(("units", "counts"), [("mm", 1e3), ("um", 1e6), ("nm", 1e9)])
-def test_loops_and_paths_in_a_unit_give_the_voltages_in_metres(units, counts):
+def test_loops_and_paths_in_any_unit_give_the_same_voltages(units, counts):
     metres, other = pair(units)
     path = PATH / 1e6 * counts
     command, expected = plan_path(other, path, home=False), plan_path(metres, path / counts, home=False)
@@ -41,7 +41,7 @@ def test_a_clamped_path_is_reported_in_the_unit():
         np.testing.assert_allclose(getattr(command, own), factor * getattr(expected, own), rtol=1e-14)
 
 
-def test_what_strays_is_refused_in_words_of_the_unit():
+def test_a_displacement_far_out_of_reach_is_refused_in_its_unit():
     micro = pair()[1]
     with pytest.raises(ModelError, match="compensator takes"):
         plan_path(micro, PATH * 1e3)

@@ -93,7 +93,7 @@ def test_readings_that_are_no_numbers_hold_the_correction():
     assert feedback.believed and feedback.correction == kept != 0
 
 
-def test_a_sensor_that_falls_silent_leaves_its_mean_correction():
+def test_missing_readings_hold_the_mean_correction():
     path = np.tile(PATH, 3)
     found, feedback = tracked(lambda k, y: y if k < 2250 else None, path=path)
     frozen = tracked(lambda k, y: None, path=path)[0]
@@ -101,7 +101,7 @@ def test_a_sensor_that_falls_silent_leaves_its_mean_correction():
     assert np.abs(found - path)[-1000:].max() < np.abs(frozen - path)[-1000:].max()
 
 
-def test_nothing_winds_up_at_a_limit():
+def test_the_integral_does_not_wind_up_at_a_limit():
     loop = Compensator(PLANT, (0, 100), period=PERIOD, state=turned(PLANT, 0.3 * STROKE), warns=False)
     feedback, state = Feedback(loop), loop.state
     said = None
@@ -126,7 +126,7 @@ def test_a_refused_step_changes_nothing():
     assert (feedback.correction, feedback.compensator.snapshot()) == before
 
 
-def test_what_a_feedback_needs_is_said():
+def test_a_wrong_argument_of_a_feedback_is_named():
     with pytest.raises(ModelError, match="period"):
         Feedback(Compensator(PLANT, (0, 100)))
     for margin in (-1, 1e9):
@@ -140,7 +140,7 @@ def test_what_a_feedback_needs_is_said():
 
 @pytest.mark.parametrize("preview", [False, True])
 @pytest.mark.parametrize(("frequency", "quality"), [(300.0, 5), (800.0, 25), (800.0, 100), (5000.0, 50)])
-def test_the_gain_keeps_a_margin_on_a_resonance(frequency, quality, preview):
+def test_the_gain_keeps_its_margin_with_a_resonance(frequency, quality, preview):
     """A linear plant by its own mathematics, its resonance 3 % beside the identified one."""
     period, zeta = 1e-4, 0.5 / quality
     spring = dehyst.Spring([0, 1e-5], [0, 100])

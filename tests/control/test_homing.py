@@ -20,26 +20,26 @@ CREEPING = with_identification(
 )
 
 
-def test_wider_limits_are_used_only_where_the_range_of_the_records_does_not_suffice():
+def test_wider_limits_are_used_only_if_the_range_of_the_records_is_too_narrow():
     enough, narrow = replace(PLANT, limits=(0.0, 260.0)), replace(PLANT, limits=(50.0, 90.0))
     assert max(shortest_homing(enough, limits=(-100, 400)).turns) == 260.0
     assert shortest_homing(narrow, limits=(-100, 400)).certified
     assert max(shortest_homing(narrow, limits=(-100, 400)).turns) == 400.0
 
 
-def test_more_time_than_needed_makes_no_homing_longer():
+def test_a_homing_does_not_use_more_time_than_it_needs():
     needed = shortest_homing(CREEPING)
     assert shortest_homing(CREEPING, within=10 * needed.played.duration).played.duration == needed.played.duration
 
 
-def test_a_plan_names_a_start_that_is_assumed_elsewhere_than_at_0_volts():
+def test_a_plan_names_an_assumed_start_other_than_0_volts():
     wanted, time = np.linspace(0.6, 0.7, 50) * plain_records.STROKE, 0.1 * np.arange(50)
     for present, said in ((None, 1), (50.0, 0)):
         plan = plan_path(PLANT, wanted, time=time, limits=(50, 260), home=True, present=present)
         assert plan.voltage[0] == 50.0 and sum("ramp there first" in words for words in plan.warnings) == said
 
 
-def test_limits_that_are_too_narrow_are_said():
+def test_limits_that_are_too_narrow_are_remarked():
     homing = shortest_homing(PLANT, limits=(0, 100))
     assert not homing.certified and "wider limits" in homing.remarks[0]
 
@@ -82,7 +82,7 @@ def test_limits_that_a_path_does_not_need_have_no_effect_on_its_homing():
     assert far.seconds > plans[0].seconds
 
 
-def test_a_shorter_homing_is_kept_to():
+def test_the_bound_of_a_homing_is_kept():
     wanted, time = np.linspace(0.3, 0.6, 200) * plain_records.STROKE, np.arange(200) * 0.02
     loop = Compensator(CREEPING)
     long, short = plan_path(loop, wanted, time=time), plan_path(loop, wanted, time=time, home_within=9.0)
@@ -97,7 +97,7 @@ SWINGING = replace(CREEPING, dynamics=Dynamics(500.0, 0.02))
 @pytest.mark.parametrize(
     ("actuator", "step"), [(CREEPING, 1e-6), (CREEPING, 0.02), (SWINGING, 1e-4), at_night(SWINGING, 1e-6)]
 )
-def test_a_homing_and_its_way_take_half_the_time_where_this_is_asked(actuator, step):
+def test_a_homing_with_its_way_takes_at_most_the_given_time(actuator, step):
     wanted = np.linspace(0.3, 0.6, 200) * plain_records.STROKE
     loop, time = Compensator(actuator, period=step), np.arange(200) * step
     seconds = 0.5 * plan_path(loop, wanted, time=time).seconds

@@ -58,7 +58,7 @@ def replace_motion(state):
 
 @pytest.mark.parametrize("name", ["plain", *ORDERED])
 @pytest.mark.parametrize("side", [1, -1])
-def test_the_bounding_states_are_where_a_long_way_ends(name, side):
+def test_the_bounding_states_are_the_ends_of_long_motions(name, side):
     actuator = {**ORDERED, "plain": PLAIN}[name]
     for v in np.linspace(*LIMITS, 9).tolist():
         y = possible_states(actuator, v)[side < 0].deformation
@@ -70,7 +70,7 @@ def test_the_bounding_states_are_where_a_long_way_ends(name, side):
 @pytest.mark.parametrize("name", TIMED)
 @examples(8, nightly=60)
 @given(seed=st.integers(0, 10**6))
-def test_in_time_no_past_is_left_farther_than_said(name, seed):
+def test_after_a_homing_every_past_is_within_the_stated_spread(name, seed):
     actuator, found, slack = TIMED[name], _timed(name), 1e-12 * plain_records.STROKE
 
     def moved(played, state):
@@ -89,7 +89,7 @@ def _timed(name):
     return shortest_homing(TIMED[name], present=0.0, drive=DRIVE)
 
 
-def test_it_takes_as_long_as_the_tolerance_requires():
+def test_a_smaller_tolerance_needs_a_longer_homing():
     needed = [shortest_homing(CREEPING, drive=DRIVE, tolerance=least) for least in (1e-7, 1e-8, 1e-9)]
     assert all(homing.certified for homing in needed)
     seconds = [homing.played.duration for homing in needed]
@@ -99,12 +99,12 @@ def test_it_takes_as_long_as_the_tolerance_requires():
     assert re.search(r"holds of \S+ s at both limits instead of \S+ s would suffice", short.remarks[0])
 
 
-def test_smooth_elements_are_said_to_be_simulated_not_proven():
+def test_a_homing_of_smooth_elements_is_remarked_as_not_proven():
     assert re.search(r"\b18\b.* not proven", _timed("smooth").remarks[-1])
     assert not any("not proven" in said for said in _timed("creep").remarks)
 
 
-def test_without_elements_there_is_only_creep_to_home():
+def test_without_elements_a_homing_waits_for_creep():
     creep = DisplacementCreep([5.0], [0.1])
     actuator = Actuator(MaxwellSlip([], []), Spring([0, 1e-5], [0, 100]), displacement_creep=creep, limits=(0, 100))
     assert shortest_homing(actuator).certified

@@ -40,7 +40,7 @@ def calls(actuator, **time):
 
 
 @pytest.mark.parametrize("kind", PARTS)
-def test_without_time_each_call_answers_or_says_that_time_is_needed(kind):
+def test_without_time_each_call_works_or_names_the_missing_time(kind):
     for call in calls(anatomy(kind)).values():
         if kind in NEEDING_TIME:
             with pytest.raises(ModelError, match="answer depends") as refused:
@@ -52,7 +52,7 @@ def test_without_time_each_call_answers_or_says_that_time_is_needed(kind):
 
 @pytest.mark.parametrize("wrong", WRONG_TIMES)
 @pytest.mark.parametrize("kind", PARTS)
-def test_a_time_that_does_not_fit_is_refused_as_such(kind, wrong):
+def test_times_of_another_number_are_refused(kind, wrong):
     for call in calls(anatomy(kind), time=WRONG_TIMES[wrong]).values():
         with pytest.raises(ModelError, match=r"^time: "):
             call()
@@ -68,7 +68,7 @@ def test_the_period_is_the_time_base_of_a_trajectory(kind, preview):
 
 
 @pytest.mark.parametrize("kind", ["plain", "inertia"])
-def test_a_time_that_is_given_takes_the_place_of_the_period(kind):
+def test_given_times_replace_the_period(kind):
     uneven = TIME.copy()
     uneven[10] += 0.4 * PERIOD
     for time in (TIME, uneven):
@@ -78,7 +78,7 @@ def test_a_time_that_is_given_takes_the_place_of_the_period(kind):
 
 
 @pytest.mark.parametrize("kind", NEEDING_TIME)
-def test_loops_ask_for_the_period(kind):
+def test_a_loop_without_a_needed_period_is_refused(kind):
     actuator = anatomy(kind)
     calls = {"step": PATH[:1], "offer": PATH[:1], "commit": [50.0], "hold": [], "run": [PATH], "snapshot": []}
     for name, given in calls.items():
@@ -87,7 +87,7 @@ def test_loops_ask_for_the_period(kind):
 
 
 @pytest.mark.parametrize("kind", PARTS)
-def test_short_paths_answer_or_are_refused(kind):
+def test_short_paths_are_computed_or_refused(kind):
     actuator = anatomy(kind)
     for path in ([], [5e-6], [5e-6, 6e-6], 5e-6, [[5e-6]], None, [np.nan]):
         for period in (None, PERIOD):
@@ -99,7 +99,7 @@ def test_short_paths_answer_or_are_refused(kind):
 
 
 @pytest.mark.parametrize("factor", [1e9, 1e-9])
-def test_a_path_in_a_time_of_another_unit_is_refused_as_a_record_is(factor):
+def test_a_path_with_times_in_another_unit_is_refused(factor):
     with pytest.raises(ModelError) as refused:
         plan_path(anatomy("plain"), PATH, time=factor * TIME)
     assert refused.value.argument == "time"

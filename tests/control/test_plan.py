@@ -38,7 +38,7 @@ def test_a_path_of_an_actuator_that_lags_is_on_time(home):
     assert any("on time" in said for said in plan.warnings) and any("later" in said for said in late.warnings)
 
 
-def test_the_promise_of_a_late_path_is_apart_from_its_delay():
+def test_the_promise_of_a_late_path_excludes_the_delay():
     tested = Validity(1e-8, 1e-7, 0.0, plain_records.STROKE, limits=(-40.0, 260.0))
     known = replace(LATE, identification=Identification(lag_of="actuator", validity=tested))
     delays = [
@@ -47,7 +47,7 @@ def test_the_promise_of_a_late_path_is_apart_from_its_delay():
     assert delays == [0.0, DELAY]
 
 
-def test_a_plan_holds_few_arrays_of_the_size_of_its_path():
+def test_a_plan_needs_little_memory():
     time = np.arange(200_000) * 1e-3
     wanted = 8e-6 - 4e-6 * np.cos(0.3 * time)
     tracemalloc.start()
@@ -57,7 +57,7 @@ def test_a_plan_holds_few_arrays_of_the_size_of_its_path():
     assert peak < 14 * wanted.nbytes
 
 
-def test_the_model_says_of_its_lag_what_plans_do():
+def test_model_and_plans_say_the_same_about_the_lag():
     models = [replace(LATE, identification=Identification(lag_of=lag_of)) for lag_of in ("actuator", "sensor", "")]
     said = [{part.name: part.sentence for part in parts_of(model)}["Delay"] for model in models]
     start = turned(PLANT, float(WANTED[0]))
@@ -66,7 +66,7 @@ def test_the_model_says_of_its_lag_what_plans_do():
 
 
 @pytest.mark.parametrize("lag_of", ["", "sensor"])
-def test_a_lag_that_is_not_the_actuators_is_made_up_for_only_if_that_is_asked(lag_of):
+def test_only_a_lag_of_the_actuator_is_compensated_by_default(lag_of):
     actuator = replace(LATE, identification=Identification(lag_of=lag_of))
     plan = plan_path(actuator, WANTED, time=TIME, start=turned(PLANT, float(WANTED[0])))
     np.testing.assert_array_equal(plan.voltage, plan_path(PLANT, WANTED, time=TIME, start=plan.start).voltage)
@@ -86,7 +86,7 @@ def test_corners_between_two_samples_are_counted(size, followed):
     np.testing.assert_allclose(plan.expected[plan.first :], reached, atol=2e-3 * plain_records.STROKE)
 
 
-def test_each_axis_of_a_stage_leads_by_its_own_delay():
+def test_each_axis_of_a_stage_is_early_by_its_own_delay():
     stage = Stage((LATE, replace(LATE, delay=3 * STEP)), [[1.0, 0.05], [-0.03, 1.0]])
     wanted = np.column_stack([WANTED, WANTED[::-1]])
     plan = plan_path(stage, wanted, time=TIME, home=True)
@@ -96,7 +96,7 @@ def test_each_axis_of_a_stage_leads_by_its_own_delay():
     assert np.abs(reached - wanted).max() < 5e-4 * plain_records.STROKE
 
 
-def test_a_path_is_as_fast_as_it_is_and_jumps_to_it_are_as_fast_as_the_records():
+def test_a_path_keeps_its_speed_and_jumps_keep_that_of_the_records():
     fast = plain_records.STROKE * (0.5 - 0.3 * np.cos(2 * np.pi * TIME / 0.15))
     for start in (PLANT.state, None):
         plan = plan_path(PLANT, fast, time=TIME, start=start)
@@ -106,7 +106,7 @@ def test_a_path_is_as_fast_as_it_is_and_jumps_to_it_are_as_fast_as_the_records()
 
 
 @pytest.mark.parametrize(("share", "loud"), [(0.999, False), (0.5, True)])
-def test_capitals_are_for_a_miss_beyond_what_is_promised(share, loud):
+def test_a_warning_in_capitals_means_an_error_above_the_promise(share, loud):
     given = {"time": TIME, "start": turned(LATE, float(WANTED[0]))}
     free = plan_path(LATE, WANTED, **given)
     most = share * np.abs(np.diff(free.voltage[free.first :])).max() / STEP

@@ -40,7 +40,7 @@ class Life:
 
 
 @pytest.mark.parametrize("late", [0, 5])
-def test_an_error_is_learnt_to_the_noise(late):
+def test_learning_reduces_the_error_to_the_noise(late):
     life = Life(late=late)
     learnt = [life.cycle() for _ in range(12)]
     assert learnt[0]
@@ -58,7 +58,7 @@ def test_what_was_learnt_plays_again():
         _ = Life().repetition.voltage
 
 
-def test_a_slow_sensor_is_learnt_from_and_a_gap_is_not():
+def test_a_cycle_of_a_slow_sensor_is_learnt_and_one_with_a_gap_is_not():
     life = Life()
     life.cycle(lambda y: np.where(np.arange(y.size) % 7, np.nan, y))
     assert np.any(life.repetition.correction)
@@ -92,7 +92,7 @@ def test_a_clamped_cycle_is_not_learnt():
         (lambda y: np.roll(y, 60), SensorFault.FAR),
     ],
 )
-def test_a_sensor_that_lies_is_not_believed(sensor, fault):
+def test_a_faulty_sensor_is_not_believed(sensor, fault):
     life = Life()
     for _ in range(3):
         life.cycle()
@@ -157,7 +157,7 @@ def test_axes_of_a_stage_are_learnt_together():
     assert repetition.voltage.shape == (250, 2)
 
 
-def test_what_a_repetition_needs_is_said():
+def test_a_wrong_argument_of_a_repetition_is_named():
     loop = Compensator(PLANT, (0, 100), period=PERIOD)
     with pytest.raises(ModelError, match="period"):
         Repetition(Compensator(PLANT, (0, 100)), PATH)

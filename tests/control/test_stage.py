@@ -38,7 +38,7 @@ def path(rng, n=300, size=3):
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**31))
-def test_simulating_what_was_compensated_gives_the_path(seed):
+def test_the_simulation_of_compensated_voltages_gives_the_path(seed):
     wanted, model = path(np.random.default_rng(seed)), stage()
     command = model.compensate(wanted)
     assert np.abs(model.simulate(command.voltage, extrapolate=True).displacement - wanted).max() < 1e-15
@@ -89,7 +89,7 @@ def test_a_whole_path_with_all_axes_clamped_equals_its_steps(seed):
 
 
 @pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
-def test_a_stage_in_micrometres_and_its_copies_send_the_voltages_of_the_one_in_metres():
+def test_a_stage_in_micrometres_sends_the_voltages_of_the_same_stage_in_metres():
     wanted, options = path(np.random.default_rng(5)), {"limits": (-60.0, 40.0), "slew_rate": 900.0, "period": 1e-3}
     metres, micro = Compensator(stage(), **options), Compensator(stage(), units="um", **options)
     np.testing.assert_allclose(micro.run(1e6 * wanted[:150]), metres.run(wanted[:150]), atol=1e-9)
@@ -103,7 +103,7 @@ def test_a_stage_in_micrometres_and_its_copies_send_the_voltages_of_the_one_in_m
 
 
 @pytest.mark.parametrize("timed", [True, False])
-def test_after_a_homing_the_state_before_does_not_count(timed):
+def test_after_a_homing_the_earlier_state_has_no_effect(timed):
     wanted, model = path(np.random.default_rng(8)), stage()
     time = 1e-2 * np.arange(len(wanted)) if timed else None
     options = {"limits": [(-60.0, 120.0)] * 3} | ({"slew_rate": [400.0] * 3, "period": 1e-2} if timed else {})
@@ -119,7 +119,7 @@ def test_after_a_homing_the_state_before_does_not_count(timed):
         assert np.abs(reached - wanted).max() < 1e-13
 
 
-def test_what_one_axis_refuses_changes_no_axis():
+def test_a_refusal_by_one_axis_changes_no_axis():
     model = stage()
     loop = Compensator(model)
     loop.step(path(np.random.default_rng(9))[0])
@@ -138,7 +138,7 @@ def test_what_one_axis_refuses_changes_no_axis():
         assert np.array_equal(loop.voltage, before)
 
 
-def test_a_file_keeps_every_bit(tmp_path):
+def test_a_stage_file_keeps_every_bit(tmp_path):
     known = {"provenance": {"record": "a.csv"}, "recorded_columns": ("vx_V:x_um", "b", "c")}
     model = replace(stage(), **known)
     model.save(tmp_path / "stage.json")
@@ -160,13 +160,13 @@ def test_a_file_keeps_every_bit(tmp_path):
         ({"actuators": []}, "need one Actuator"),
     ],
 )
-def test_a_file_that_is_wrong_is_refused(change, words):
+def test_a_wrong_stage_file_is_refused(change, words):
     with pytest.raises(dehyst.ModelError, match=words):
         Stage.from_dict({**stage().as_dict(), **change})
 
 
 @pytest.mark.parametrize("kind", ["stage", "bank"])
-def test_limits_slew_rate_and_state_are_one_for_all_or_one_for_each(kind):
+def test_limits_slew_rate_and_state_are_given_once_or_per_axis(kind):
     model = Stage((actuator(), actuator()))
 
     def made(**options):
@@ -233,7 +233,7 @@ def test_a_temperature_reaches_each_actuator_that_depends_on_it(shape):
         assert planned.temperature.tolist() == each.tolist()
 
 
-def test_a_temperature_that_does_not_fit_is_refused_and_nothing_changes():
+def test_a_wrong_number_of_temperatures_is_refused_and_changes_nothing():
     loop = Compensator(warm_stage())
     loop.scale(temperature=25.0)
     before = loop.scale()
@@ -245,7 +245,7 @@ def test_a_temperature_that_does_not_fit_is_refused_and_nothing_changes():
         Compensator(stage()).scale(temperature=25.0)
 
 
-def test_limits_that_do_not_reach_the_state_of_the_model_have_a_start_that_can_be_played():
+def test_narrow_limits_have_a_start_within_them():
     """A start of the model beyond the limits is replaced by that of loops within them, whatever was before."""
     model, limits = stage(), (-40.0, 30.0)
     loop = Compensator(model, limits=[limits] * 3)

@@ -139,7 +139,7 @@ def test_without_a_homing_a_path_begins_at_the_present_voltage_if_one_is_given()
         plan_path(loop, wanted, time=time, home=False, present=900.0)
 
 
-def test_the_displacement_before_a_path_is_within_reach():
+def test_the_way_to_a_path_begins_within_reach():
     """The middle of the possible states at 0 V lies far below what voltages within the limits reach."""
     actuator = replace(plain_records.plant(6, share=0.9), limits=(0.0, plain_records.VOLTS))
     low, high = actuator.reach
@@ -154,14 +154,14 @@ def test_the_displacement_before_a_path_is_within_reach():
         assert np.array_equal(before, path.expected[path.phase < 1])
 
 
-def test_the_order_without_proof_is_simulated_too():
+def test_possible_states_of_smooth_elements_and_creep_are_simulated():
     actuator = replace(CREEPING, smooth=SmoothSlip([1e-6, 5e-6], [1.0, 0.5], [2e6, 1e6]))
     assert len(PossibleStart.unknown(actuator, 20.0).states) > 10
     homed = plan_path(Compensator(actuator), np.linspace(3e-6, 9e-6, 100), time=np.arange(100.0), home=True)
     assert homed.error.percent(homed.error.largest) < 1
 
 
-def test_a_history_of_voltages_closes_what_it_homes():
+def test_a_known_history_reduces_the_possible_states():
     wide = PossibleStart.after(PLAIN, [0.0, 260.0, -40.0, 50.0])
     narrow = PossibleStart.after(PLAIN, [0.0, 30.0, 10.0])
     assert np.ptp([state.deformation for state in wide.states]) < 1e-9 * STROKE
@@ -170,12 +170,12 @@ def test_a_history_of_voltages_closes_what_it_homes():
         PossibleStart.after(PLAIN, [])
 
 
-def test_the_error_of_a_model_is_that_of_its_identification():
+def test_the_error_of_a_plan_contains_that_of_the_identification():
     assert model_error(PLAIN) == pytest.approx(1e-3 * np.ptp(PLAIN.reach))
     assert model_error(with_identification(PLAIN, largest_error=5e-8)) == 5e-8
 
 
-def test_a_path_is_homed_where_its_start_matters():
+def test_a_path_is_homed_if_its_start_matters():
     time = np.arange(200) * 0.05
     wanted = STROKE * (0.5 - 0.3 * np.cos(2 * np.pi * time / 5))
     loop = Compensator(PLAIN, slew_rate=500.0)
@@ -221,7 +221,7 @@ def test_a_planned_path_has_the_gain_and_the_offset_of_its_compensator(name, kno
         np.testing.assert_allclose(seen.expected, planned.expected, atol=1e-12)
 
 
-def test_a_path_planned_by_a_warm_compensator_is_that_at_the_temperature():
+def test_a_path_is_planned_at_the_temperature_of_the_compensator():
     warm = replace(PLAIN, thermal=Thermal(4e-3, 1e-8, 20.0))
     loop, wanted = Compensator(warm, period=0.01), STROKE * (0.5 + 0.2 * np.sin(0.03 * np.arange(300)))
     expected = plan_path(loop, wanted, temperature=35.0)

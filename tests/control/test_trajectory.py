@@ -31,7 +31,7 @@ def times(seed, size):
 
 
 @given(st.integers(0, 10**6))
-def test_only_what_had_to_be_clamped_is_clamped(seed):
+def test_only_unreachable_samples_are_clamped(seed):
     path = wanted(seed)
     start = plain_records.any_state(PLANT, float(path[0]), seed)
     command = follow(Compensator(PLANT, (LOW, HIGH))._axes[0], path, state=start)
@@ -56,7 +56,7 @@ def wider(kind, seed=5, **more):
 
 @pytest.mark.parametrize("kind", ["plain", *WIDE])
 @given(st.integers(0, 10**6), st.booleans(), st.integers(1, 400))
-def test_the_model_is_told_what_was_sent(kind, seed, slewing, size):
+def test_the_memory_follows_the_sent_voltage(kind, seed, slewing, size):
     plant = PLANT if kind == "plain" else wider(kind)
     path, time = wanted(seed)[:size], times(seed, 400)[:size]
     compensator = Compensator(plant, (LOW, HIGH), RATE if slewing else None, period=SHORTEST)
@@ -73,7 +73,7 @@ def test_the_model_is_told_what_was_sent(kind, seed, slewing, size):
 @pytest.mark.parametrize("kind", ["plain", *WIDE])
 @given(st.integers(0, 10**6), st.booleans())
 @examples(8, nightly=80)
-def test_even_steps_are_clamped_in_one_go_as_they_are_one_by_one(kind, seed, slewing):
+def test_a_whole_path_is_clamped_like_single_steps(kind, seed, slewing):
     """Two parts of a path at different rates: one by one where time is even, or piece by piece as where it is not."""
     plant = PLANT if kind == "plain" else wider(kind)
     path, time = wanted(seed), np.append(np.arange(250) * 1e-3, 0.25 + np.arange(150) * 2e-3)
@@ -98,7 +98,7 @@ def smooth(size=1500):
 
 
 @pytest.mark.parametrize("lag", [0.0, 2e-4])
-def test_a_mass_and_a_lag_are_led_as_without_limits(lag):
+def test_wide_limits_do_not_change_a_path_with_mass_and_lag(lag):
     time, path = smooth()
     push = plain_records.STROKE * 0.2 * (2 * np.pi * 100) ** 2
     plant = wider("all three", dynamics=Dynamics(1000, 0.05, 2e6), lag=lag)
@@ -111,7 +111,7 @@ def test_a_mass_and_a_lag_are_led_as_without_limits(lag):
     assert np.abs(command.displacement - path).max() < 1e-3 * plain_records.STROKE
 
 
-def test_the_displacement_of_a_clamped_mass_is_its_motion():
+def test_the_displacement_of_a_clamped_mass_is_its_simulated_motion():
     time, path = smooth()
     plant = wider("creep", dynamics=Dynamics(1000, 0.3, 2e6))
     high = 0.9 * plant.compensate(path, time=time).voltage.max()
@@ -131,7 +131,7 @@ SCALES = st.floats(0.5, 2.0), st.floats(-0.5, 0.5).map(lambda share: share * pla
 
 
 @given(st.sampled_from([None, *WIDE]), st.integers(0, 10**6), *SCALES)
-def test_whatever_gain_and_offset_a_path_ahead_has_the_voltages_of_its_steps(kind, seed, gain, offset):
+def test_a_planned_path_has_the_voltages_of_its_steps_with_any_gain_and_offset(kind, seed, gain, offset):
     plant = PLANT if kind is None else wider(kind)
     loop = Compensator(plant, (-1e4, 1e4), period=1e-3, state=turned(plant, 0.0))
     plain = loop._clone()
@@ -157,7 +157,7 @@ def test_whatever_gain_and_offset_a_path_ahead_has_the_voltages_of_its_steps(kin
 
 
 @given(st.integers(0, 10**6), *SCALES)
-def test_a_clamped_path_ahead_tells_where_gain_and_offset_lead(seed, gain, offset):
+def test_the_displacement_of_a_clamped_path_includes_gain_and_offset(seed, gain, offset):
     path = offset + gain * wanted(seed)
     loop = Compensator(PLANT, (LOW, HIGH))
     loop.scale(gain, offset)
@@ -166,7 +166,7 @@ def test_a_clamped_path_ahead_tells_where_gain_and_offset_lead(seed, gain, offse
     np.testing.assert_allclose(command.displacement, moved, atol=1e-9 * plain_records.STROKE)
 
 
-def test_a_given_velocity_is_that_of_the_displacement_with_its_gain():
+def test_a_given_velocity_includes_the_gain():
     plant, time = replace(PLANT, dynamics=Dynamics(318.0, 0.05)), 1e-3 * np.arange(400)
     inside, velocity = (
         plain_records.STROKE * (a + 0.3 * wave) for a, wave in ((0.5, np.sin(9 * time)), (0, np.cos(9 * time)))

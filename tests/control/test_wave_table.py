@@ -58,7 +58,7 @@ def strokes(scan, axis="x"):
 @pytest.mark.parametrize("homed", [True, False])
 @pytest.mark.parametrize("scan", SCANS)
 @pytest.mark.parametrize("name", ACTUATORS)
-def test_played_in_a_row_the_model_follows_the_path(name, scan, homed):
+def test_a_repeated_table_follows_the_path(name, scan, homed):
     actuator, state = ACTUATORS[name], None if homed else ACTUATORS[name].relaxed(20.0)
     table = wave_table(actuator, SCANS[scan].path(), start=state)
     stroke = strokes(SCANS[scan])
@@ -73,7 +73,7 @@ def test_played_in_a_row_the_model_follows_the_path(name, scan, homed):
 
 
 @pytest.mark.parametrize("scan", SCANS)
-def test_with_dynamics_it_is_followed_to_the_discretisation(scan):
+def test_with_dynamics_a_table_follows_the_path_to_the_discretisation(scan):
     actuator = replace(PLAIN, dynamics=Dynamics(1000, 0.1, 2e6))
     errors = []
     for times in (1, 4):
@@ -89,7 +89,7 @@ def test_with_dynamics_it_is_followed_to_the_discretisation(scan):
     assert errors[1] <= errors[0] / (3 if scan == "triangle" else 8)
 
 
-def test_a_table_that_comes_too_early_is_said_with_the_cycles_that_would_do():
+def test_a_table_that_is_not_settled_states_a_sufficient_start_up():
     slow = replace(PLAIN, displacement_creep=DisplacementCreep([5.0], [0.2]))
     table = wave_table(slow, TRIANGLE.path(), start=slow.relaxed(20.0), cycles=2)
     assert table.cycles == 2 and not table.settled
@@ -102,14 +102,14 @@ def test_a_table_that_comes_too_early_is_said_with_the_cycles_that_would_do():
     assert 0.8 * needed < found.cycles <= needed
 
 
-def test_a_scan_that_stands_where_it_begins_has_no_way():
+def test_a_scan_from_the_present_displacement_needs_no_way():
     table = wave_table(PLAIN, TRIANGLE.path(), start=turned(PLAIN, 2 * UM, rising=False))
     assert table.plan.voltage.size == (table.cycles + 1) * TRIANGLE.samples + 1 and not table.plan.first
 
 
 @pytest.mark.parametrize("name", ["plain", "creep"])
 @pytest.mark.parametrize("limits, slew", [((0.0, 120.0), None), ((-50.0, 250.0), 2500.0)])
-def test_what_cannot_be_reached_is_clamped_and_said(name, limits, slew):
+def test_an_unreachable_scan_is_clamped_with_a_warning(name, limits, slew):
     actuator = ACTUATORS[name]
     table = wave_table(
         actuator, TRIANGLE.path(), limits=limits, slew_rate=slew, start=actuator.relaxed(20.0), cycles=12
@@ -126,7 +126,7 @@ def test_what_cannot_be_reached_is_clamped_and_said(name, limits, slew):
     assert off.max() <= 4 * table.error + 1e-12 * strokes(TRIANGLE)
 
 
-def test_a_long_homing_has_a_sample_rate_of_its_own_and_loses_nothing():
+def test_a_long_homing_has_a_lower_sample_rate():
     slow = replace(PLAIN, displacement_creep=DisplacementCreep([5.0, 64.0], [0.02, 0.02]))
     table = wave_table(slow, TRIANGLE.path())
     homing = table.plan.homing.played
@@ -150,12 +150,12 @@ def test_a_long_homing_has_a_sample_rate_of_its_own_and_loses_nothing():
         ({"tolerance": 0.0}, "tolerance: got 0"),
     ],
 )
-def test_what_cannot_be_is_refused(options, said):
+def test_impossible_tables_are_refused(options, said):
     with pytest.raises(RecordError, match=said):
         wave_table(PLAIN, **{"path": TRIANGLE.path(), "start": PLAIN.relaxed(20.0), **options})
 
 
-def test_creep_is_followed_until_it_settles_if_that_takes_no_more_rows_than_a_file_holds():
+def test_start_up_lasts_until_creep_settles_or_the_file_is_full():
     slow = replace(PLAIN, displacement_creep=DisplacementCreep([500.0], [0.02]))
     table = wave_table(slow, TRIANGLE.path(), start=slow.relaxed(20.0))
     assert (table.settled, table.plan.clamped.any()) == (False, False)

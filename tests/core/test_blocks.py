@@ -22,7 +22,7 @@ def test_a_release_has_the_version_of_its_core():
     assert core == package or (package.is_devrelease and core.release <= package.release)
 
 
-def test_what_c_replays_is_what_python_computes(tmp_path):
+def test_c_replays_the_results_of_python(tmp_path):
     """The bits of this machine in C; the file in the repository was written on one whose BLAS may round otherwise."""
     fresh = golden_core.text()
     (tmp_path / "golden.h").write_text(fresh)
@@ -38,7 +38,7 @@ def test_what_c_replays_is_what_python_computes(tmp_path):
 
 @pytest.mark.parametrize("kind", ["slewing", "moving"])
 @pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
-def test_a_snapshot_goes_on_and_a_broken_one_changes_nothing(kind):
+def test_a_snapshot_continues_and_a_damaged_one_changes_nothing(kind):
     loop = compiled_exports.KINDS[kind]()
     low, high = loop.reach
     path = np.random.default_rng(3).uniform(low, high, 80)
@@ -64,7 +64,7 @@ def test_a_snapshot_goes_on_and_a_broken_one_changes_nothing(kind):
     np.testing.assert_array_equal(other.run(path[40:]), expected)
 
 
-def test_the_block_of_a_model_depends_on_its_start_and_its_id_does_not():
+def test_the_id_of_a_model_does_not_depend_on_its_start():
     loop = compiled_exports.plain()
     block, numbers = loop._axes[0].block(), loop._axes[0].ids()
     loop.reset(turned(loop.actuator, 0.5 * sum(loop.reach), rising=False))
@@ -96,6 +96,6 @@ STEPS = StepCoefficients(np.array([0, 1]), *[np.zeros((1, 0))] * 3)
         lambda: slip_elongations(SLIP.breakaway, ZERO, ZERO),
     ],
 )
-def test_the_core_itself_refuses_what_python_did_not(make):
+def test_the_core_refuses_numbers_that_python_passes(make):
     with pytest.raises(ModelError):
         make()

@@ -41,7 +41,7 @@ def tools():
             pytest.skip(f"{tool} is not installed: the core cannot be built alone")
 
 
-def test_a_project_of_its_own_finds_it(tmp_path):
+def test_another_cmake_project_finds_the_core(tmp_path):
     build(places.CORE, tmp_path / "core", target="dehyst")
     run("cmake", "--install", tmp_path / "core", "--prefix", tmp_path / "installed")
     (tmp_path / "CMakeLists.txt").write_text(USER)

@@ -97,7 +97,7 @@ def test_an_export_replays_the_trace_of_python(tmp_path, kind, number):
     assert ("double: 0 of" if number == "double" else "float: largest error") in said
 
 
-def test_a_wrong_number_or_a_wrong_number_type_is_found(tmp_path):
+def test_the_check_finds_a_wrong_number_and_a_wrong_number_type(tmp_path):
     need("gcc", "make")
     compensator = compiled_exports.plain()
     double = export(compensator, tmp_path / "double")
@@ -225,7 +225,7 @@ def test_names_with_a_meaning_in_c_are_refused(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", ["x", "Stage_2" + "a" * 33])
-def test_other_names_compile(tmp_path, name):
+def test_an_export_with_another_name_compiles(tmp_path, name):
     need("gcc")
     folder = export(compiled_exports.plain(), tmp_path / "c", name=name)
     sources = [name + ".c" if source == "piezo.c" else source for source in SOURCES]
@@ -289,7 +289,7 @@ def test_floats_stay_within_the_limits(limits):
 
 
 @pytest.mark.parametrize(("kind", "number"), [("moving", "float"), at_night("slewing", "double")])
-def test_sanitizers_find_nothing(tmp_path, kind, number):
+def test_sanitizers_find_no_fault(tmp_path, kind, number):
     need("gcc")
     folder = export(KINDS[kind](), tmp_path / "c", number)
     watched = ["-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]

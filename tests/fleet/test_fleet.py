@@ -132,7 +132,7 @@ def test_rows_are_kept_if_the_run_ends_early(folder, tmp_path, in_this_process):
     assert [row["record"] for row in rows(output).values()] == [(folder / "bad.csv").as_posix()]
 
 
-def test_a_program_error_in_one_record_is_a_row(folder, tmp_path, in_this_process):
+def test_an_unexpected_error_in_one_record_is_a_row(folder, tmp_path, in_this_process):
     def read(path):
         raise ZeroDivisionError(path.name)
 
@@ -149,7 +149,7 @@ def test_no_records_or_one_name_twice_are_refused(records, tmp_path):
     assert not (tmp_path / "t.parquet").exists()
 
 
-def test_another_file_is_no_table(folder, tmp_path):
+def test_an_output_that_is_no_table_is_refused(folder, tmp_path):
     output = tmp_path / "t.parquet"
     output.write_text("else")
     with pytest.raises(FileFormatError):
@@ -169,7 +169,7 @@ def test_workers_of_a_scheduler_compute_the_rows(folder, tmp_path, in_this_proce
     assert rows(tmp_path / "there.parquet") == rows(tmp_path / "here.parquet")
 
 
-def test_no_scheduler_answers(folder, tmp_path, monkeypatch):
+def test_an_unreachable_scheduler_is_reported(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(dehyst.fleet, "_PATIENCE", 1)
     with pytest.raises(OSError, match="Dask scheduler"):
         identify_fleet(folder, tmp_path / "t.parquet", scheduler="tcp://127.0.0.1:9")

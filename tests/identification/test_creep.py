@@ -52,7 +52,7 @@ def test_creep_in_displacement_is_found():
     assert all(error.rms_percent < 0.1 for error in fit.errors)
 
 
-def test_a_hold_of_five_minutes_keeps_little_of_the_creep():
+def test_little_creep_is_left_in_a_hold_of_five_minutes():
     truth, (_, stairs), fit = creeping()
     model = fit.actuator
     state, _ = state_after(model, stairs)
@@ -65,7 +65,7 @@ def test_a_hold_of_five_minutes_keeps_little_of_the_creep():
     assert abs(reached[-200:].mean() - reached[:5].mean()) < 0.15 * 3.3 * 0.02 * 7e-6
 
 
-def test_a_state_after_a_record_continues_it():
+def test_the_state_after_a_record_continues_its_creep():
     _, (_, stairs), fit = creeping()
     model, middle = fit.actuator, 3000
     state, offset = state_after(model, stairs[:middle])

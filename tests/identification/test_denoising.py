@@ -48,7 +48,7 @@ def test_the_path_moves_in_the_direction_of_the_voltage(seed, noise, hold):
 
 @given(seed=SEEDS, noise=st.floats(0, 0.05))
 @settings(max_examples=30)
-def test_the_mean_of_a_branch_stays_and_no_error_grows(seed, noise):
+def test_smoothing_keeps_the_mean_of_a_branch_and_increases_no_error(seed, noise):
     """Least squares over a convex cone: means stay, and no monotone path lies farther from the result than before."""
     record, true = made(seed, noise=noise * plain_records.STROKE)
     smoothed = monotone(record).displacement
@@ -67,7 +67,7 @@ def test_without_noise_nothing_changes(seed, hold):
 
 
 @pytest.mark.parametrize(("samples", "kept"), [(40, 17 / 35), (200, 25 / 143)])
-def test_jitter_falls_without_a_bias(samples, kept):
+def test_smoothing_reduces_jitter_without_bias(samples, kept):
     """A parabola through 5 neighbours keeps 17/35 of the variance, through 13 of them 25/143; order takes from that."""
     record, true = made(0, samples=samples)
     errors = []

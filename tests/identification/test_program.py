@@ -139,7 +139,7 @@ def test_the_conditions_of_karush_kuhn_and_tucker_hold(name, smoothing):
 
 
 @pytest.mark.parametrize("name", ["plain", "dense", "transformer"])
-def test_a_fold_is_left_out_by_the_difference_of_sums(name):
+def test_the_difference_of_sums_leaves_out_a_fold(name):
     program = noisy(name)
     fold = np.arange(len(program)) // 100 % 3
     folded, whole = with_folds(program, fold), program.solved()

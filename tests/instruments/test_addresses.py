@@ -42,7 +42,7 @@ def test_addresses_go_to_their_rigs(monkeypatch):
         open_rig("sim://wobble")
 
 
-def test_addresses_that_are_none(tmp_path):
+def test_wrong_addresses_are_refused(tmp_path):
     for address, why in [
         ("pi://", "need pi://host:port"),
         ("pi://h:99999", "not the address"),
@@ -91,7 +91,7 @@ def own_rig(folder, code, begin=""):
         "from dataclasses import dataclass\n\n@dataclass\nclass Asked:\n    gain: float",
     ],
 )
-def test_a_rig_of_ones_own_is_a_module_like_others(tmp_path, monkeypatch, begin):
+def test_a_user_defined_rig_is_an_ordinary_module(tmp_path, monkeypatch, begin):
     """It imports from its folder as a script does, and dataclasses find their module."""
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.setattr(sys, "modules", dict(sys.modules))
@@ -106,13 +106,13 @@ def test_a_rig_of_ones_own_is_a_module_like_others(tmp_path, monkeypatch, begin)
     ("asked", "why"),
     [({"limits": (0.0, 20.0)}, "allows 0 to 200 V .* but 0 to 20 V"), ({"slew_rate": 5.0}, "but .* 5 V/s")],
 )
-def test_a_rig_that_does_not_keep_to_what_was_asked_is_refused(tmp_path, asked, why):
+def test_a_rig_that_ignores_limits_or_slew_rate_is_refused(tmp_path, asked, why):
     address = own_rig(tmp_path, "def make(**asked):\n    return SimulatedRig(PlayActuator())")
     with pytest.raises(RigError, match=f"{why}.*pass limits and slew_rate on"):
         open_rig(address, **asked)
 
 
-def test_a_rig_that_was_never_made_is_told(tmp_path):
+def test_a_missing_rig_is_reported(tmp_path):
     half = "class Half(SimulatedRig):\n    def __init__(self): pass\ndef make(**asked):\n    return Half()"
     with pytest.raises(RigError, match="its __init__"):
         open_rig(own_rig(tmp_path, half))

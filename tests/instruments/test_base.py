@@ -19,7 +19,7 @@ finite = st.floats(-500, 500)
 
 
 @given(st.tuples(finite, finite), st.none() | st.tuples(finite, finite), st.none() | st.floats(1e-3, 1e6))
-def test_limits_are_what_both_allow(device, limits, slew_rate):
+def test_limits_are_those_that_device_and_user_allow(device, limits, slew_rate):
     device = (min(device), max(device) + 1)
     limits = limits and (min(limits), max(limits) + 1)
     low, high = limits or device
@@ -56,14 +56,14 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("act", REFUSED.values(), ids=REFUSED)
-def test_what_may_not_be_sent_is_refused_with_nothing_sent(act):
+def test_a_forbidden_excitation_is_refused_before_anything_is_sent(act):
     rig = FakeRig(limits=(-5.0, 50.0), slew_rate=100.0)
     with pytest.raises(RecordError):
         act(rig)
     assert rig.instrument.sent == [0.0]
 
 
-def test_a_device_beyond_the_limits_is_left_alone():
+def test_a_device_beyond_the_limits_is_refused():
     rig = FakeRig(limits=(30.0, 60.0))
     with pytest.raises(DeviceError) as caught:
         rig.set_voltage(40.0)
@@ -71,7 +71,7 @@ def test_a_device_beyond_the_limits_is_left_alone():
     assert not note.safe and rig.instrument.sent == [0.0]
 
 
-def test_a_wave_begins_by_a_ramp():
+def test_a_wave_begins_with_a_ramp():
     rig = FakeRig((0.0, 100.0), slew_rate=600.0)
     playing(*np.arange(70.0, 90.0, 0.5))(rig)
     assert rig.instrument.log.largest_step <= rig.slew_rate * TICK + 1e-9
@@ -87,7 +87,7 @@ def test_the_first_step_of_a_loop_comes_a_period_after_the_ramp():
 
 
 @given(st.integers(2, 300), st.integers(2, 60))
-def test_pieces_join_at_the_same_voltage(count, longest):
+def test_pieces_of_a_wave_share_the_voltage_at_which_they_join(count, longest):
     rows = FakeRig(longest=longest).rows(count)
     pieces = np.split(rows, np.flatnonzero(np.diff(rows) == 0) + 1)
     assert all(2 <= piece.size <= longest for piece in pieces)
@@ -129,7 +129,7 @@ HOOKS = ["_read", "_put", "_wave", "_halt", "_wait", "_close", "nearest_rate"]
 
 @pytest.mark.parametrize("name", HOOKS)
 @pytest.mark.parametrize("error", [KeyError("1"), SystemExit(0), SystemExit("bye"), Panic("oh"), GeneratorExit()])
-def test_what_a_leaf_raises_by_mistake_is_a_fault_with_its_name(name, error):
+def test_an_unexpected_error_of_a_driver_is_a_device_error_with_its_method(name, error):
     rig = FakeRig((0.0, 100.0))
     setattr(rig, name, raises(error))
     with pytest.raises(DeviceError, match=f"fake: {name} .* {type(error).__name__}: "):
@@ -148,13 +148,13 @@ def test_a_link_that_cannot_be_closed_hides_no_other_error():
 @pytest.mark.parametrize(
     "name", ["play", "limits", "set_voltage", "read", "close", "__getattribute__", "_ramp", "retreat"]
 )
-def test_no_rig_nor_a_base_of_it_replaces_what_limits_and_retreat_rely_on(name):
+def test_methods_for_limits_and_retreat_cannot_be_overridden(name):
     for bases, methods in (((AbstractRig,), {name: None}), ((type("Mixin", (), {name: None}), FakeRig), {})):
         with pytest.raises(TypeError, match=f"replaces {name} "):
             type("Own", bases, methods)
 
 
-def test_a_base_of_a_rig_may_have_what_a_driver_writes():
+def test_a_mixin_may_have_methods_of_a_driver():
     class Mixin:
         def _wait(self, seconds):
             self.instrument.wait(seconds)

@@ -115,7 +115,7 @@ def test_random_calls_keep_limits_and_slew_rate(sequences):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_ctrl_c_in_the_middle_of_an_answer_still_retreats(seed):
+def test_ctrl_c_during_an_answer_causes_a_retreat(seed):
     rng = random.Random(seed)
     controller = FakeController(limits=DEVICE)
     rig = QuickRig(PipeLink(controller), limits=ALLOWED, slew_rate=2000.0)
@@ -151,7 +151,7 @@ def served(faults=(), **options):
     return bench, Server(Controller(bench), port=0, rehearsal=Rehearsal([Fault.parse(fault) for fault in faults]))
 
 
-def test_a_second_client_is_told_so_and_the_first_is_undisturbed():
+def test_a_second_client_is_refused_and_the_first_is_not_disturbed():
     _, server = served()
     with server, open_rig(f"pi://127.0.0.1:{server.port}/1", limits=ALLOWED) as rig:
         with pytest.raises(LinkError, match="client connected"):

@@ -46,13 +46,13 @@ def cosine(samples=1000, rate=200.0, top=100.0):
     return Excitation("cosine", top / 2 * (1 - np.cos(np.linspace(0, 4 * np.pi, samples))), rate)
 
 
-def test_it_knows_what_the_device_says(rig, ioc):
+def test_the_rig_has_the_limits_of_the_device(rig, ioc):
     assert (rig.limits.low, rig.limits.high, rig.longest) == (0.0, 200.0, None)
     assert f"epics://{ioc.prefix}" in rig.name
     assert "dehyst" in rig.name
 
 
-def test_a_record_is_what_the_actuator_did_and_never_steeper(doomed):
+def test_a_record_is_the_motion_of_the_actuator_within_the_slew_rate(doomed):
     """Never steeper than the slew rate, however long each answer takes."""
     excitation = cosine(120, 200.0, 20.0)
     slew = 1.02 * 200.0 * np.abs(np.diff(excitation.voltage)).max()
@@ -66,7 +66,7 @@ def test_a_record_is_what_the_actuator_did_and_never_steeper(doomed):
     assert doomed.log()["steepest"] <= slew * (1 + 1e-9)
 
 
-def test_a_laboratorys_own_names(ioc):
+def test_other_names_of_variables_are_possible(ioc):
     names = PvNames(identity=None)
     front, _, rest = ioc.prefix.partition(":")
     names = replace(names, voltage=f"{rest}:VOLTAGE", readback=f"{rest}:VOLTAGE:RBV", position=f"{rest}:POSITION")
@@ -83,7 +83,7 @@ def test_missing_variables_are_named(ioc):
         EpicsRig.connect(ioc.prefix, names=names, timeout=0.5)
 
 
-def test_no_ioc():
+def test_an_unreachable_ioc_is_reported():
     began = time.monotonic()
     with pytest.raises(LinkError, match=r"NOBODY:VOLTAGE: .* EPICS_CA_ADDR_LIST"):
         EpicsRig.connect("NOBODY", timeout=0.5)
@@ -95,23 +95,23 @@ def test_a_position_in_volts_is_refused(ioc):
         EpicsRig.connect(ioc.prefix, names=PvNames(position="VOLTAGE:RBV"))
 
 
-def test_a_text_is_no_number(ioc):
+def test_a_text_in_place_of_a_number_is_refused(ioc):
     with pytest.raises(LinkError, match="need a number"):
         ChannelAccess(f"{ioc.prefix}:", 1.0).numbers("IDN")
 
 
-def test_a_put_that_is_refused(ioc):
+def test_a_refused_write_is_reported(ioc):
     with pytest.raises(DeviceError, match="POSITION: Channel write"):
         ChannelAccess(f"{ioc.prefix}:", 1.0).put("POSITION", 1.0)
 
 
-def test_without_aioca(monkeypatch):
+def test_a_missing_library_is_reported(monkeypatch):
     monkeypatch.setitem(sys.modules, "aioca", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'dehyst\[bench\]'"):
         EpicsRig.connect("BENCH")
 
 
-def test_limits_narrower_than_told(doomed, monkeypatch):
+def test_a_device_with_narrower_limits_than_stated_is_reported(doomed, monkeypatch):
     """Refused by the device, and the voltage brought back."""
     rig, clock = EpicsRig.connect(doomed.prefix), Hand()
     monkeypatch.setattr(rig, "_now", clock)
@@ -125,7 +125,7 @@ def test_limits_narrower_than_told(doomed, monkeypatch):
     assert rig.read().voltage == 0.0
 
 
-def test_limits_that_the_record_lacks_are_those_of_the_user(ioc):
+def test_without_limits_in_the_epics_record_those_of_the_user_are_used(ioc):
     link = ChannelAccess(f"{ioc.prefix}:", 1.0)
     link.put("VOLTAGE.DRVH", 0.0)
     try:
@@ -151,7 +151,7 @@ def test_a_reading_that_is_older_than_the_command_contradicts_nothing(doomed):
     assert rig.read().voltage == 60.0
 
 
-def test_killed_in_mid_wave(doomed):
+def test_an_ioc_killed_during_a_wave_is_reported(doomed):
     rig = EpicsRig.connect(doomed.prefix, timeout=1.0)
     with pytest.raises(LinkError, match="no answer within") as caught:
         rig.play(cosine(2000), beyond(1.0, doomed.kill))
@@ -161,7 +161,7 @@ def test_killed_in_mid_wave(doomed):
 
 
 @pytest.mark.nightly
-def test_killed_and_started_again_it_goes_on(doomed):
+def test_a_restarted_ioc_is_used_again(doomed):
     rig = EpicsRig.connect(doomed.prefix, timeout=20.0)
     rig.set_voltage(10.0)
     doomed.kill()
@@ -169,7 +169,7 @@ def test_killed_and_started_again_it_goes_on(doomed):
         assert rig.set_voltage(20.0) == 20.0
 
 
-def test_hung_in_mid_wave(doomed):
+def test_an_ioc_that_hangs_during_a_wave_is_reported(doomed):
     """Connected, but silent; when it wakes up, the rig can be told to retreat."""
     rig = EpicsRig.connect(doomed.prefix, timeout=1.0)
     with pytest.raises(LinkError, match="no answer within 1 s") as caught:
@@ -181,7 +181,7 @@ def test_hung_in_mid_wave(doomed):
     assert again.read().voltage == 0.0
 
 
-def test_two_rigs_of_one_ioc(rig, ioc):
+def test_two_rigs_share_an_ioc(rig, ioc):
     """Closing one leaves the other."""
     EpicsRig.connect(ioc.prefix).close()
     with warnings.catch_warnings():

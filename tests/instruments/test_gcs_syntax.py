@@ -35,7 +35,7 @@ def array_text(columns, sample_time=5e-5, names=("Current Position of axis 1", "
 
 
 @given(VOLTAGES)
-def test_a_voltage_is_sent_to_a_microvolt(value):
+def test_a_voltage_is_written_to_a_microvolt(value):
     text = gcs_syntax.volts(value)
     assert abs(float(text) - value) <= 0.5000001e-6
     assert not set(text) - set("-.0123456789")
@@ -49,18 +49,18 @@ def test_rounding_never_leaves_the_limits(value, below, above):
 
 
 @given(VOLTAGES)
-def test_a_limit_itself_is_sent_exactly_where_it_must_be(limit):
+def test_a_limit_is_written_exactly(limit):
     assert float(gcs_syntax.volts(limit, limit, limit)) == limit
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 100.0001, -0.1])
-def test_what_is_not_within_limits_is_no_text(value):
+def test_a_voltage_outside_the_limits_cannot_be_written(value):
     with pytest.raises(RigError, match="nothing"):
         gcs_syntax.volts(value, 0.0, 100.0)
 
 
 @given(st.lists(VOLTAGES, min_size=1, max_size=400), st.integers(60, 600))
-def test_a_wave_arrives_whole_in_lines_that_fit(wave, longest):
+def test_a_wave_is_complete_in_lines_of_allowed_length(wave, longest):
     texts = [gcs_syntax.volts(value) for value in wave]
     lines = list(gcs_syntax.wave_points(3, texts, longest))
     assert all(len(line) <= longest for line in lines)
@@ -72,7 +72,7 @@ def test_a_wave_arrives_whole_in_lines_that_fit(wave, longest):
 
 
 @pytest.mark.parametrize("argument", ["1\nSVA 1 9", "a b", "", "é", "1 "])
-def test_an_argument_cannot_smuggle_a_command(argument):
+def test_an_argument_cannot_contain_a_command(argument):
     with pytest.raises(RigError, match="need one word"):
         gcs_syntax.command("SVA", argument)
 
@@ -99,7 +99,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("read", "lines"), [(read, text) for read, every in REFUSED.values() for text in every])
-def test_what_is_no_answer_is_refused(read, lines):
+def test_malformed_answers_are_refused(read, lines):
     with pytest.raises(LinkError, match="got"):
         read(lines)
 
@@ -125,7 +125,7 @@ def test_record_options_are_found_by_their_words():
     st.integers(1, 40).flatmap(lambda n: st.lists(st.lists(FINITE, min_size=n, max_size=n), min_size=1, max_size=4)),
     st.floats(1e-6, 10.0),
 )
-def test_an_array_comes_back(columns, sample_time):
+def test_an_array_is_read_exactly(columns, sample_time):
     found = gcs_syntax.table(array_text(columns, sample_time), len(columns[0]), len(columns))
     assert found[0] == sample_time
     assert np.array_equal(found[1], columns)
@@ -162,7 +162,7 @@ def test_an_array_with_a_fault_is_refused(old, new):
 
 
 @given(st.lists(LINE, max_size=12), st.binary(max_size=60))
-def test_garbage_raises_nothing_else_than_a_link_error(lines, raw):
+def test_random_bytes_raise_only_a_link_error(lines, raw):
     readers = [
         lambda: gcs_syntax.values(lines, ["1"]),
         lambda: gcs_syntax.names(lines),

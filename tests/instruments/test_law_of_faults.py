@@ -198,7 +198,7 @@ OVER_A_NETWORK = ("reading lost", "readback stays", "reading late", "put lost", 
         for fault in FAULTS
     ],
 )
-def test_after_a_fault_the_voltage_is_safe_or_its_place_is_said(kind, fault):
+def test_after_a_fault_the_voltage_is_safe_or_stated(kind, fault):
     name, change = FAULTS[fault]
     # In time of its own, a wave comes at once: its pieces come one by one.
     with RIGS[kind](slew_rate=SLEW, **({"longest": 100} if kind == "pi" else {})) as (rig, instrument):

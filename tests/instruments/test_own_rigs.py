@@ -16,7 +16,7 @@ FILES = places.EXAMPLES / "instruments"
 
 
 @pytest.mark.parametrize("path", sorted(FILES.glob("*.py")), ids=lambda path: path.stem)
-def test_each_is_short(path):
+def test_each_example_is_short(path):
     assert len(path.read_text().splitlines()) < 90
 
 

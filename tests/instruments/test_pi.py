@@ -27,14 +27,14 @@ def triangle(low=0.0, high=80.0, count=401, rate=1000.0):
     return Excitation("triangle", np.concatenate([half, half[-2::-1]]), rate)
 
 
-def test_it_says_what_it_is():
+def test_the_rig_reports_its_controller():
     controller = FakeController()
     rig = quick(controller, limits=(-5.0, 500.0), slew_rate=2000.0)
     assert rig.name == f"{controller.identity} at pipe:1"
     assert (rig.limits.low, rig.limits.high, rig.slew_rate, rig.axis, rig.longest) == (-5.0, 120.0, 2000.0, "1", 4096)
 
 
-def test_a_record_is_what_the_bench_did():
+def test_a_record_is_the_motion_of_the_bench():
     controller = FakeController()
     rig = quick(controller)
     wave = triangle()
@@ -57,7 +57,7 @@ def test_two_readings_within_one_tick_have_two_times():
 
 
 @pytest.mark.parametrize("rate", [20000.0, 12345.0, 999.9, 1.0])
-def test_the_rate_is_the_nearest_that_divides_the_servos(rate):
+def test_the_rate_is_the_nearest_divisor_of_the_servo_rate(rate):
     rig = quick(FakeController())
     near = rig.nearest_rate(rate)
     divider = round(20000 / near)
@@ -67,7 +67,7 @@ def test_the_rate_is_the_nearest_that_divides_the_servos(rate):
 
 
 @pytest.mark.parametrize("send", [lambda rig: rig.set_voltage(1.0), lambda rig: rig.play(triangle())])
-def test_a_servo_that_is_on_is_switched_off_by_the_first_voltage_and_that_is_said(send):
+def test_the_first_voltage_switches_the_servo_off_with_a_warning(send):
     controller = FakeController()
     controller.bench.axis.servo = True
     rig = quick(controller)
@@ -78,7 +78,7 @@ def test_a_servo_that_is_on_is_switched_off_by_the_first_voltage_and_that_is_sai
     assert not controller.bench.axis.servo
 
 
-def test_a_servo_that_stays_on_is_told():
+def test_a_servo_that_stays_on_is_reported():
     controller = FakeController(told={"SVO?": ["1=1"]})
     with pytest.warns(UserWarning, match="was on"), pytest.raises(DeviceError, match="does not go off"):
         quick(controller).set_voltage(1.0)
@@ -107,7 +107,7 @@ def test_without_a_wave_generator_or_recorder_the_host_plays(lacking):
         ({"SPA?": lambda a: [f"1 {a[1]}=0"]}, "0x0e000200"),
     ],
 )
-def test_half_a_recorder_is_none(told, why):
+def test_an_incomplete_recorder_is_not_used(told, why):
     with pytest.warns(UserWarning, match=why):
         quick(FakeController(told=told))
 
@@ -136,12 +136,12 @@ def test_odd_controllers_are_refused_with_a_reason(told, without, options, error
     assert not [line for line in controller.lines if line.startswith("SVA")]
 
 
-def test_the_users_limits_serve_where_the_controller_tells_none():
+def test_without_limits_of_the_controller_those_of_the_user_are_used():
     rig = quick(FakeController(without=["VMI?"]), limits=(0.0, 50.0))
     assert (rig.limits.low, rig.limits.high) == (0.0, 50.0)
 
 
-def test_narrower_limits_than_told_are_an_error_of_the_device():
+def test_narrower_limits_than_stated_are_a_device_error():
     controller = FakeController(limits=(-20.0, 60.0), told={"VMA?": ["1=120"]})
     rig = quick(controller)
     with pytest.raises(DeviceError, match=r"error 302: .*SVA 1") as caught:
@@ -158,7 +158,7 @@ def test_narrower_limits_than_told_are_an_error_of_the_device():
     ("playing", "error", "why"),
     [(0, DeviceError, "generator stopped; 3 of 401"), (1, LinkError, "no new sample .*3 of 401")],
 )
-def test_a_recorder_that_stands_still_is_found_out(playing, error, why):
+def test_a_recorder_that_does_not_record_is_found(playing, error, why):
     controller = FakeController()
     rig = quick(controller)
 
@@ -178,7 +178,7 @@ def test_a_recorder_that_stands_still_is_found_out(playing, error, why):
     assert controller.bench.axis.voltage == 0.0
 
 
-def test_another_rate_than_asked_for_is_an_error_of_the_device():
+def test_a_wrong_sample_rate_is_a_device_error():
     controller = FakeController()
     controller.told["DRR?"] = lambda a: [
         line.rstrip().replace("# SAMPLE_TIME = 0.001", "# SAMPLE_TIME = 0.002")
@@ -188,7 +188,7 @@ def test_another_rate_than_asked_for_is_an_error_of_the_device():
         quick(controller).play(triangle())
 
 
-def test_a_generator_that_goes_on_is_told():
+def test_a_generator_that_does_not_stop_is_reported():
     controller = FakeController(told={"WGO?": ["1=1"]})
     with pytest.raises(DeviceError, match="goes on; switch it off by hand"):
         quick(controller).retreat()
@@ -196,7 +196,7 @@ def test_a_generator_that_goes_on_is_told():
 
 @pytest.mark.parametrize("answer", [["x!y z"], None, ["0", "1"]])
 @pytest.mark.parametrize("spoilt", [("ERR?",), ("ERR?", "VOL?")])
-def test_a_retreat_needs_no_answer_but_that_the_wave_has_stopped(spoilt, answer):
+def test_a_retreat_needs_only_the_answer_that_the_wave_has_stopped(spoilt, answer):
     controller = FakeController()
     rig = quick(controller, slew_rate=1000.0)
     rig.set_voltage(55.0)
@@ -210,7 +210,7 @@ def test_a_retreat_needs_no_answer_but_that_the_wave_has_stopped(spoilt, answer)
     assert controller.bench.axis.log.highest <= 60.0
 
 
-def test_a_latched_error_is_said_with_its_number():
+def test_a_stored_error_is_reported_with_its_number():
     controller = FakeController()
     rig = quick(controller)
     controller.told["ERR?"] = ["333"]
@@ -258,14 +258,14 @@ class Ear:
         (b"a,b \n" * 500000, "too long|printable|GCS controller"),
     ],
 )
-def test_who_is_no_controller_is_found_out(answer, why):
+def test_other_devices_than_a_controller_are_refused(answer, why):
     ear = Ear(answer)
     with pytest.raises(LinkError, match=why) as caught:
         PiRig.connect("127.0.0.1", ear.port, timeout=0.1)
     assert f"127.0.0.1:{ear.port}" in str(caught.value)
 
 
-def test_nobody_there_is_said_clearly():
+def test_an_unreachable_controller_is_reported():
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     with pytest.raises(LinkError, match=rf"127\.0\.0\.1:{port}: cannot be reached .*; is the controller on"):

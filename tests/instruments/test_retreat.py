@@ -26,7 +26,7 @@ def test_a_retreat_ends_nearest_to_zero():
 
 
 @pytest.mark.parametrize("lost", [1, 5])
-def test_a_last_voltage_that_was_not_taken_is_sent_again_and_never_denied(rig, lost):
+def test_a_refused_last_voltage_is_sent_again(rig, lost):
     put, ends = rig._put, []
 
     def putting(voltage):
@@ -62,7 +62,7 @@ def test_a_wave_is_closed_before_the_retreat(stop):
     assert set(rig.done[ended + 2 :]) == {"put"}
 
 
-def test_what_a_wave_raises_as_it_is_closed_is_a_fault():
+def test_an_error_while_a_wave_is_closed_is_a_device_error():
     rig = FakeRig()
     wave = rig._wave
 
@@ -79,7 +79,7 @@ def test_what_a_wave_raises_as_it_is_closed_is_a_fault():
 
 
 @pytest.mark.parametrize("answer", [0.05, 0.2, 0.35])
-def test_a_retreat_over_a_slow_link_takes_its_ramp_and_two_seconds(rig, answer):
+def test_a_retreat_over_a_slow_link_takes_at_most_two_seconds_more(rig, answer):
     clock, sent = SimpleNamespace(now=0.0), []
 
     def wait(seconds):
@@ -105,7 +105,7 @@ def test_a_retreat_over_a_slow_link_takes_its_ramp_and_two_seconds(rig, answer):
 
 
 @pytest.mark.parametrize("late", [0.0, 0.06, 0.5])
-def test_a_retreat_begins_where_the_wave_stopped_though_all_recent_samples_came_late(late):
+def test_a_retreat_begins_where_the_wave_stopped_although_samples_are_late(late):
     rig, clock = FakeRig((0.0, 100.0), slew_rate=600.0), SimpleNamespace(now=0.0)
     rig._now, rig._wait = lambda: clock.now, lambda seconds: vars(clock).update(now=clock.now + seconds)
 
@@ -125,14 +125,14 @@ def test_a_retreat_begins_where_the_wave_stopped_though_all_recent_samples_came_
 
 
 @pytest.mark.parametrize("read", [None, "no number", [1.0], 1j])
-def test_a_retreat_needs_no_readback_that_is_a_number(rig, read):
+def test_a_retreat_works_without_a_readback(rig, read):
     rig._read_voltage = lambda: read
     assert rig.retreat() == rig.instrument.voltage == 0.0
     with pytest.raises(DeviceError, match="need a finite number"):
         rig.set_voltage(90.0)
 
 
-def test_a_retreat_goes_on_though_every_command_is_complained_of(rig):
+def test_a_retreat_continues_although_every_command_has_an_error(rig):
     put = rig._put
 
     def complaining(voltage):
@@ -158,7 +158,7 @@ def test_a_wave_that_a_device_cannot_stop_is_not_ramped_against(rig):
 
 
 @pytest.mark.parametrize("error", [LinkError("lost"), OSError("gone"), ZeroDivisionError("a leaf's own mistake")])
-def test_a_retreat_that_fails_is_told_beside_the_first_error(error):
+def test_a_failed_retreat_is_reported_beside_the_first_error(error):
     rig = FakeRig()
     rig._halt = raises(error)
     with pytest.raises(ValueError, match="first") as caught:

@@ -55,7 +55,7 @@ SPOILT = {
 
 
 @pytest.mark.parametrize(("spoil", "kind"), SPOILT.values(), ids=SPOILT)
-def test_what_comes_is_looked_at(spoil, kind):
+def test_received_samples_are_checked(spoil, kind):
     rig, heard = spoiled(spoil), []
     with pytest.raises(kind) as caught:
         rig.play(UP, heard.append)
@@ -69,7 +69,7 @@ def test_what_comes_is_looked_at(spoil, kind):
     assert np.all(np.diff(np.concatenate([[-1.0], *(samples.time for samples in heard)])) > 0)
 
 
-def test_lots_may_be_lists_and_empty_and_a_sample_late():
+def test_batches_may_be_lists_empty_and_a_sample_late():
     def late(number, samples):
         voltage = np.concatenate([[late.last], samples.voltage[:-1]])
         late.last = samples.voltage[-1]
@@ -80,7 +80,7 @@ def test_lots_may_be_lists_and_empty_and_a_sample_late():
     assert np.array_equal(spoiled(late).play(UP).voltage[1:], UP.voltage[:-1])
 
 
-def test_a_wave_of_empty_batches_ends(monkeypatch):
+def test_a_wave_with_only_empty_batches_ends(monkeypatch):
     monkeypatch.setattr("dehyst.instruments.waves._PATIENCE", 0.01)
     rig = FakeRig()
     rig._wave = lambda *_: iter(lambda: Samples(*np.zeros((3, 0))), None)
@@ -125,7 +125,7 @@ def test_a_device_that_is_late_and_catches_up_is_not_stopped(change):
 
 
 @given(st.lists(st.integers(1, 40), min_size=1), st.data())
-def test_the_watch_over_the_sensor_sees_a_stretch_however_it_comes_in_lots(sizes, data):
+def test_the_check_of_the_sensor_does_not_depend_on_batches(sizes, data):
     """The same answer for a record in one piece and in lots."""
     n = sum(sizes)
     voltage = np.cumsum(data.draw(st.lists(st.floats(-8, 8), min_size=n, max_size=n)))

@@ -28,7 +28,7 @@ def handled(number, handler):
         signal.signal(number, before)
 
 
-def test_the_first_signal_passes_and_the_others_wait():
+def test_the_first_signal_is_raised_and_later_ones_wait():
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt), Shield() as shield:
         try:
@@ -41,7 +41,7 @@ def test_the_first_signal_passes_and_the_others_wait():
     assert signal.getsignal(signal.SIGINT) is before
 
 
-def test_what_waited_comes_at_the_end():
+def test_waiting_signals_are_raised_at_the_end():
     reached = []
     with pytest.raises(KeyboardInterrupt), Shield(defer=True):
         interrupt()
@@ -54,7 +54,7 @@ def test_what_waited_comes_at_the_end():
     assert str(caught.value.__context__) == "first"
 
 
-def test_a_handler_that_only_takes_note_stops_nothing():
+def test_a_signal_handler_that_returns_does_not_stop_the_wave():
     noted = []
     with handled(signal.SIGTERM, lambda number, _: noted.append(number)), Shield() as shield:
         interrupt(signal.SIGTERM)
@@ -73,7 +73,7 @@ def test_every_signal_that_ends_a_program_brings_the_voltage_back(number):
 
 
 @pytest.mark.parametrize("name", ["_wait", "_read", "_wave"])
-def test_a_programs_own_handler_may_end_it_within_a_leaf(name):
+def test_a_signal_handler_of_the_program_may_end_a_driver_call(name):
     rig = FakeRig((0.0, 100.0))
     rig.set_voltage(20.0)
     usual = getattr(rig, name)
@@ -90,7 +90,7 @@ def test_a_programs_own_handler_may_end_it_within_a_leaf(name):
     assert getattr(caught.value, "__notes__", [BROUGHT]) == [BROUGHT]
 
 
-def test_another_thread_has_no_signals():
+def test_rigs_work_in_a_thread_without_signals():
     said, rig = [], FakeRig()
     thread = threading.Thread(target=lambda: (rig.play(UP), said.append(rig.retreat())))
     thread.start()
@@ -99,7 +99,7 @@ def test_another_thread_has_no_signals():
 
 
 @pytest.mark.parametrize("times", [1, 2, 5])
-def test_an_impatient_user_does_not_cut_the_retreat_short(times):
+def test_repeated_ctrl_c_does_not_interrupt_the_retreat(times):
     rig = FakeRig(slew_rate=1000.0)
     put = rig._put
 

@@ -38,7 +38,7 @@ def voltages(bench):
     return [axis.voltage for axis in bench.axes]
 
 
-def test_it_says_what_it_is():
+def test_the_rig_reports_its_axes():
     with served() as (server, _), rig_of(server, limits=[(0, 90), (10, 500), (0, 50)], slew_rate=700.0) as rig:
         assert rig.axes == ("1", "2", "3")
         assert [(single.limits.low, single.limits.high) for single in rig.rigs] == [(0, 90), (10, 120), (0, 50)]
@@ -48,7 +48,7 @@ def test_it_says_what_it_is():
         assert "axis 1: 0 to 90 V, 700 V/s; axis 2: 10 to 120 V" in repr(rig)
 
 
-def test_a_record_is_what_the_stage_does_with_the_voltages():
+def test_a_record_is_the_motion_of_the_stage():
     v, batches = waves(), []
     with served(stage=virtual_stage(noise=0)) as (server, bench), rig_of(server) as rig:
         played = rig.play(ex(v), batches.append)
@@ -87,7 +87,7 @@ def test_long_records_are_cut_into_pieces_that_join():
         (lambda v: v * np.nan, "finite"),
     ],
 )
-def test_what_one_axis_may_not_have_is_refused_before_anything_is_sent(change, words):
+def test_a_voltage_that_one_axis_forbids_is_refused_before_anything_is_sent(change, words):
     with served() as (server, bench), rig_of(server) as rig:
         with pytest.raises((RecordError, ModelError), match=words):
             rig.play(ex(change(waves())))
@@ -103,7 +103,7 @@ def test_what_one_axis_may_not_have_is_refused_before_anything_is_sent(change, w
         ("narrow", DeviceError),
     ],
 )
-def test_after_a_fault_all_axes_are_brought_back(fault, error):
+def test_after_a_fault_all_axes_retreat(fault, error):
     with served(fault, speed=2.0) as (server, bench), rig_of(server) as rig:
         rig.patience = 0.5
         with pytest.raises(error) as caught:
@@ -150,7 +150,7 @@ def test_a_servo_that_is_on_is_switched_off_on_each_axis():
         assert not bench.axes[1].servo
 
 
-def test_two_of_three_axes_leave_the_third_alone():
+def test_two_of_three_axes_do_not_move_the_third():
     with served() as (server, bench), rig_of(server, "1,3") as rig:
         bench.axes[1].set_voltage(20.0)
         played = rig.play(ex(waves()[:, [0, 2]]))
@@ -195,7 +195,7 @@ def fake_stage():
     return stage
 
 
-def test_an_axis_that_fails_does_not_keep_the_others_from_their_retreat():
+def test_the_other_axes_retreat_if_one_axis_fails():
     rig = fake_stage()
 
     def listen(samples):
@@ -230,19 +230,19 @@ def test_samples_of_one_axis_that_differ_from_what_was_sent_are_refused():
 class TestAddresses:
     """Where several axes are named."""
 
-    def test_others_are_refused(self):
+    def test_axes_that_the_rig_does_not_have_are_refused(self):
         with pytest.raises(RigError):
             open_rig("sim://", ["1", "2"])
         with served() as (server, _), pytest.raises(RigError, match="1, 3"):
             open_rig(f"pi://127.0.0.1:{server.port}/1,2", ["1", "3"])
 
-    def test_what_is_of_one_axis_is_asked_of_the_rig_of_each(self):
+    def test_methods_of_a_single_axis_are_refused_for_several(self):
         with served() as (server, _), rig_of(server) as rig:
             for ask in (lambda: rig.limits, lambda: rig.slew_rate, lambda: rig.set_voltage(1.0), rig.read):
                 with pytest.raises(RigError, match="the axes 1, 2, 3"):
                     ask()
 
-    def test_one_axis_of_several_is_a_rig_of_its_own(self):
+    def test_a_single_axis_of_several_is_a_rig(self):
         with served() as (server, bench), open_rig(f"pi://127.0.0.1:{server.port}/2") as rig:
             with warnings.catch_warnings():
                 warnings.simplefilter("error", ClampWarning)

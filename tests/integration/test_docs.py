@@ -84,7 +84,7 @@ def test_a_rig_of_fifty_lines_plays_and_keeps_its_limits(my_rig):
     assert np.abs(np.diff(played) / np.diff(times)).max() <= 400
 
 
-def test_the_first_lines_run():
+def test_the_first_code_on_the_page_runs():
     code = next(block for block in blocks("how_to/instruments.md") if "sim://" in block)
     space = {}
     exec(code, space)
@@ -94,7 +94,7 @@ def test_the_first_lines_run():
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("readback", ["stuck", "right"])
-def test_the_rehearsal_of_the_page_finds_a_planted_fault(readback, my_rig):
+def test_the_test_of_a_rig_on_the_page_finds_a_planted_fault(readback, my_rig):
     folder = Path(my_rig.partition(":")[0]).parent
     test = next(block for block in blocks("how_to/instruments.md") if "class TestMyRig" in block)
     (folder / "test_my_rig.py").write_text(test)
@@ -144,7 +144,7 @@ def code_of(page, capsys):
     return space, capsys.readouterr().out.splitlines()[-1]
 
 
-def test_fringes_alone_make_a_model_whose_promise_is_kept(capsys):
+def test_a_model_from_fringes_keeps_its_promise(capsys):
     space, last = code_of("tutorials/no_sensor.md", capsys)
     assert last == "True"
     assert not space["record"].measured.all() and space["fit"].good
@@ -182,7 +182,7 @@ def numbers_of(text):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("page", PLAYED)
-def test_the_commands_of_a_tutorial_print_what_the_page_says(page, demo, tmp_path, monkeypatch):
+def test_the_commands_of_a_tutorial_print_the_text_of_the_page(page, demo, tmp_path, monkeypatch):
     """Numbers may differ by a tenth: other processors round otherwise."""
     shutil.copytree(demo, tmp_path / "stage")
     shutil.copytree(places.EXAMPLES / "measured", tmp_path / "examples" / "measured")
@@ -229,7 +229,7 @@ def named(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=named)
-def test_what_a_page_refers_to_is_there(page):
+def test_the_links_of_a_page_exist(page):
     for target in re.findall(r"\]\(([^)#\s]+)", page.read_text()):
         path = page.parent / target
         if path.parent.name == "gallery":  # written by the build
@@ -278,7 +278,7 @@ def test_the_code_of_a_page_runs(page, laboratory, tmp_path, monkeypatch):
 
 
 @pytest.mark.nightly
-def test_the_notebook_runs_and_its_stored_output_is_of_these_cells():
+def test_the_notebook_runs_and_its_stored_output_is_current():
     pytest.importorskip("matplotlib")
     nbformat, notebooks = pytest.importorskip("nbformat"), pytest.importorskip("notebooks")
     notebook = places.EXAMPLES / "first_steps.ipynb"
@@ -309,7 +309,7 @@ def test_the_conda_recipe_requires_what_the_package_requires():
 PAGE = places.DOCS / "how_to" / "control.md"
 
 
-def test_the_code_on_the_page_runs(tmp_path, monkeypatch):
+def test_the_code_for_the_browser_runs(tmp_path, monkeypatch):
     made = structured_records.plant(structured_records.STRUCTURES["all"])
     actuator = replace(made.actuator, limits=(0.0, 250.0))
     actuator.save(tmp_path / "model.json")

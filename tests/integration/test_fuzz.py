@@ -23,7 +23,7 @@ def attacked(*command, env=None):
 
 
 @pytest.mark.fuzz
-def test_all_attacks_on_the_sanitized_package_find_nothing(tmp_path):
+def test_fuzz_tests_of_the_sanitized_package_find_no_fault(tmp_path):
     if missing := sanitized.missing():
         pytest.skip(f"{missing} is not installed: the package cannot be built under sanitizers")
     environment = sanitized.environment(sanitized.build(tmp_path))
@@ -31,5 +31,5 @@ def test_all_attacks_on_the_sanitized_package_find_nothing(tmp_path):
 
 
 @pytest.mark.fuzz
-def test_no_voltage_jumps_in_ten_thousand_lives():
+def test_no_voltage_jumps_in_ten_thousand_random_sequences_of_calls():
     assert attacked(FUZZ / "compensators.py", "--seed", 5, "--count", 10_000)["cases"] == 10_000

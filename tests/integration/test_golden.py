@@ -23,7 +23,7 @@ def golden(name):
     return json.loads((GOLDEN / name).read_text())
 
 
-def test_an_actuator():
+def test_the_stored_actuator_has_its_stored_numbers():
     actuator = Actuator.load(GOLDEN / "actuator-1.json")
     displacement = actuator.simulate([0.0, 40.0, 80.0, 20.0], time=[0.0, 0.5, 1.0, 1.5]).displacement
     assert 1e6 * displacement == pytest.approx([11.33, 7.63768068944, 12.0183741873, 4.5334838802], rel=1e-9)
@@ -32,7 +32,7 @@ def test_an_actuator():
     assert (known.lag_of, known.goal, known.largest_error) == ("", 2.0, 5e-8)
 
 
-def test_a_stage():
+def test_the_stored_stage_has_its_stored_numbers():
     stage = Stage.load(GOLDEN / "stage-1.json")
     assert stage.recorded_columns == ()
     displacement = stage.simulate([[0, 0], [40, 10], [20, 60]]).displacement
@@ -40,7 +40,7 @@ def test_a_stage():
     assert 1e6 * displacement == pytest.approx(np.array(expected), rel=1e-9)
 
 
-def test_the_memory_of_a_loop():
+def test_the_stored_snapshot_of_a_loop_has_its_stored_numbers():
     loop = Compensator(Actuator.load(GOLDEN / "plain-1.json"), slew_rate=2e4, period=1e-3, warns=False)
     loop.restore((GOLDEN / "loop-1.bin").read_bytes())
     assert loop.clamps == (0, 3)
@@ -48,14 +48,14 @@ def test_the_memory_of_a_loop():
 
 
 @pytest.mark.parametrize("suffix", ["csv", "npz"])
-def test_a_record(suffix):
+def test_the_stored_record_has_its_stored_numbers(suffix):
     record = dehyst.read(GOLDEN / f"record-1.{suffix}")
     assert (len(record), record.voltage[15]) == (60, 90.0)
     assert record.displacement[15] == pytest.approx(1.32471428571429e-5, rel=1e-12)
     assert record.meta["guesses"] == {"displacement": "column 'y' in um"}
 
 
-def test_the_path_of_a_scan_and_its_wave_table(tmp_path):
+def test_the_stored_scan_and_wave_table_have_their_stored_numbers(tmp_path):
     model = GOLDEN / "plain-1.json"
     outputs = ("-o", tmp_path / "v.csv", "--table", tmp_path / "t.csv")
     status, out, _ = run("compensate", model, GOLDEN / "scan-1.csv", *outputs)
@@ -129,7 +129,7 @@ def used(model):
 
 @pytest.mark.parametrize(("kind", "name"), MODELS)
 @pytest.mark.filterwarnings("ignore")
-def test_a_damaged_value_anywhere_is_refused_or_can_be_used(kind, name):
+def test_a_model_with_a_damaged_value_is_refused_or_usable(kind, name):
     """Whatever takes the place of one value, nothing but `ModelError` is raised: at reading, and in a loop after it."""
     refused = 0
     # A push takes every fifth; neighbours differ in what takes the place.

@@ -18,7 +18,7 @@ def loaded_by(statement):
     return set(json.loads(done.stdout))
 
 
-def test_import_loads_nothing_heavier_than_numpy():
+def test_import_loads_no_library_except_numpy():
     ours, bare = loaded_by("import dehyst; dehyst.Compensator, dehyst.identify"), loaded_by("import numpy")
     assert not ours & HEAVY
     outside = {m for m in ours - bare if m not in sys.stdlib_module_names and not m.startswith("_")}
@@ -32,7 +32,7 @@ def test_no_room_loads_a_heavy_library_before_it_is_used():
     assert not loaded_by("import dehyst.workbench.server") & (HEAVY - {"click"})
 
 
-def test_a_room_is_loaded_when_a_name_of_it_is_used():
+def test_a_room_is_loaded_when_one_of_its_names_is_used():
     program = """
 import json, sys, dehyst
 rooms = lambda: sorted({m.split(".")[1] for m in sys.modules if m.startswith("dehyst.")})
@@ -49,7 +49,7 @@ print(json.dumps([first, second, rooms()]))
     assert {"waveforms", "virtual"} <= third
 
 
-def test_every_name_of_the_face_has_a_room():
+def test_every_public_name_has_a_room():
     """The table that loads a name, the list of names, and what a type checker reads are one."""
     face = ast.parse(inspect.getsource(dehyst))
     block = next(node for node in face.body if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test))

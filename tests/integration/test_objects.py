@@ -65,12 +65,12 @@ def test_repr_and_print_are_one_printable_line_without_arrays(things):
         assert 10 < len(repr(thing)) < 260
 
 
-def test_an_actuator_whose_loops_cannot_be_computed_still_has_a_line():
+def test_an_actuator_whose_loops_cannot_be_computed_can_be_printed():
     actuator = Actuator(MaxwellSlip([1e-30], [1e30]), Spring([0, 1e30], [0, 1e30]))
     assert "1 slip element" in repr(actuator)
 
 
-def test_a_name_that_is_nearly_right_is_suggested(fit):
+def test_a_mistyped_name_gets_a_suggestion(fit):
     with pytest.raises(dehyst.ModelError, match="you mean 'residuals'"):
         fit.plot("residual")
     with pytest.raises(AttributeError) as caught:

@@ -20,7 +20,7 @@ from dehyst.virtual import PlayActuator
 EXTENSIONS = places.DOCS / "_extensions"
 
 
-def test_the_actuator_of_the_page_is_the_virtual_one(tmp_path):
+def test_the_page_has_the_virtual_actuator_of_the_package(tmp_path):
     if shutil.which("node") is None:
         pytest.skip("node is not installed: the page's script cannot be run (Debian: nodejs)")
     voltage = np.concatenate([np.linspace(200, 0, 200), np.random.default_rng(0).uniform(0, 200, 2000)])
@@ -67,7 +67,7 @@ def percents(page):
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Debian's chromium")
 @pytest.mark.parametrize("motion", ["reduce", "no-preference"])
-def test_dehyst_follows_and_a_straight_scale_factor_does_not(browser, file, motion):
+def test_dehyst_is_more_accurate_than_a_straight_scale_factor(browser, file, motion):
     page = browser.new_page(reduced_motion=motion)
     complaints = []
     page.on("console", lambda message: complaints.append(message.text))

@@ -25,7 +25,7 @@ def its_code():
     return "\n".join(re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL))
 
 
-def test_its_code_runs(tmp_path, monkeypatch, capsys):
+def test_the_code_of_the_readme_runs(tmp_path, monkeypatch, capsys):
     code = its_code()
     write_record(tmp_path / "loops.csv", record_loops()[0])
     monkeypatch.chdir(tmp_path)
@@ -40,7 +40,7 @@ def test_its_code_runs(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("kind", PARTS)
-def test_its_code_runs_for_any_model_that_an_identification_may_choose(kind, monkeypatch, capsys):
+def test_the_code_of_the_readme_runs_with_every_kind_of_model(kind, monkeypatch, capsys):
     fit = SimpleNamespace(actuator=anatomy(kind), outcome=dehyst.identification.Outcome.IDENTIFIED, errors=())
     monkeypatch.setattr(dehyst, "read", lambda path: None)
     monkeypatch.setattr(dehyst, "identify", lambda record: fit)
@@ -52,7 +52,7 @@ def test_its_code_runs_for_any_model_that_an_identification_may_choose(kind, mon
 
 
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "docs/explanation/where_to_add.md"])
-def test_the_files_it_names_exist(page):
+def test_the_files_named_on_a_page_exist(page):
     text = (ROOT / page).read_text()
     links = [link for link in re.findall(r"\]\(([^)#]+)\)", text) if "://" not in link]
     modules = re.findall(r"`((?:[a-z_]+/)*[a-z_]+\.(?:py|h|c|cpp))`", text)

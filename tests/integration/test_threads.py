@@ -75,7 +75,7 @@ def answer(program):
 
 @pytest.mark.skipif(os.cpu_count() == 1, reason="one processor: BLAS has one thread without a limit, too")
 @pytest.mark.parametrize("solver", ["a structure", at_night("plain, insight"), at_night("compare")])
-def test_every_blas_library_has_one_thread_inside_of(solver):
+def test_every_blas_library_has_one_thread_inside_a_solver(solver):
     seen = answer(WATCH % (SETUP, SOLVERS[solver]))
     assert seen["looks"] > 5
     assert len(seen["threads"]) >= 2, "NumPy's and SciPy's own"

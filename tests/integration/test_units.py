@@ -46,7 +46,7 @@ def test_a_displacement_in_another_unit_or_from_another_zero_is_refused(given_as
 
 
 @given(our.actuators(1, 20), our.SEEDS, st.booleans())
-def test_within_a_stroke_of_the_range_nothing_is_refused(actuator, seed, limited):
+def test_displacements_within_a_stroke_of_the_range_are_accepted(actuator, seed, limited):
     rng = np.random.default_rng(seed)
     if limited:
         low, high = voltages_of(actuator)
@@ -74,13 +74,13 @@ def test_within_a_stroke_of_the_range_nothing_is_refused(actuator, seed, limited
     actuator.relaxed(beyond, extrapolate=True)
 
 
-def test_limits_too_wide_to_be_computed_with_leave_the_spring():
+def test_limits_too_wide_for_computing_give_the_range_of_the_spring():
     wide = replace(ACTUATOR, limits=(-1e299, 1e299))
     np.testing.assert_array_equal(wide.compensate(PATH).voltage, ACTUATOR.compensate(PATH).voltage)
     assert np.isfinite([wide._plausible.low, wide._plausible.high]).all()
 
 
-def test_a_load_moves_the_reach():
+def test_a_load_shifts_the_reach():
     force = np.full(2, 100.0)
     y = np.array([HIGH, HIGH + 1.9 * STROKE])
     with pytest.raises(ModelError, match="displacement"):
@@ -88,7 +88,7 @@ def test_a_load_moves_the_reach():
     ACTUATOR.compensate(y, load=force)
 
 
-def test_a_trajectory_strokes_outside_is_refused_and_one_that_is_clamped_is_not():
+def test_a_path_strokes_outside_is_refused_and_a_clamped_path_is_not():
     with pytest.raises(ModelError, match="in micrometres"):
         plan_path(ACTUATOR, [2, 12])
     assert plan_path(ACTUATOR, [LOW, HIGH + 0.9 * STROKE]).clamped.any()
@@ -100,7 +100,7 @@ def test_a_trajectory_strokes_outside_is_refused_and_one_that_is_clamped_is_not(
 
 @pytest.mark.parametrize("method", ["step", "offer"])
 @pytest.mark.parametrize("slew", [None, 10.0])
-def test_a_loop_does_not_raise_but_asks(method, slew):
+def test_a_loop_warns_about_the_unit_and_does_not_raise(method, slew):
     compensator = Compensator(ACTUATOR, slew_rate=slew, period=1e-3)
     with pytest.warns(ClampWarning, match="micrometres"):
         voltage = getattr(compensator, method)(12.0)
@@ -125,7 +125,7 @@ NO_NUMBERS = {
 
 
 @pytest.mark.parametrize("kind", NO_NUMBERS)
-def test_what_is_no_plain_number_is_refused(kind):
+def test_quantities_and_complex_numbers_are_refused(kind):
     with pytest.raises(ModelError, match="displacement"):
         ACTUATOR.compensate(NO_NUMBERS[kind])
     with pytest.raises(RecordError, match="displacement"):
@@ -135,5 +135,5 @@ def test_what_is_no_plain_number_is_refused(kind):
 @pytest.mark.parametrize(
     "given_as", [np.ma.array(PATH), np.array(PATH, dtype=object), np.array(PATH, dtype=object).tolist()]
 )
-def test_other_arrays_of_numbers_are_taken(given_as):
+def test_other_types_of_numeric_arrays_are_accepted(given_as):
     np.testing.assert_array_equal(ACTUATOR.compensate(given_as).voltage, ACTUATOR.compensate(PATH).voltage)

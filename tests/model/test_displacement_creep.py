@@ -81,7 +81,7 @@ def test_invalid_arguments_are_refused(make):
         make()
 
 
-def test_gain_and_offset_of_a_loop_go_with_its_snapshot():
+def test_a_snapshot_keeps_gain_and_offset_of_a_loop():
     loop, other = (Compensator(CREEPING, (0, 200), period=1e-3, units="um") for _ in range(2))
     loop.scale(1.05, 0.1)
     loop.step(6.0)

@@ -167,7 +167,7 @@ def test_the_stack_of_reversals_stays_short(motion):
     assert 1 <= evaluator_of(actuator).core.depth(path, state.deformation, state.carts) <= 2 * len(actuator.slip) + 8
 
 
-def test_a_long_decay_is_pruned_and_a_major_loop_is_forgotten():
+def test_the_stack_drops_reversals_without_effect_and_those_before_a_major_loop():
     decay = 5e-6 + 5e-6 * np.linspace(1, 0, 20000) * np.where(np.arange(20000) % 2, -1, 1)
     major = 5e-6 - 5e-6 * np.cos(np.linspace(0, 20 * np.pi, 1000))
     start = ACTUATOR.state.deformation, ACTUATOR.state.carts

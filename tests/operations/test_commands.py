@@ -64,7 +64,7 @@ def registered(monkeypatch):
     monkeypatch.setattr(registry, "find", lambda name: sample if name == "sample" else find(name))
 
 
-def test_a_command_and_its_words_mean_the_same(tmp_path, monkeypatch):
+def test_a_command_and_its_words_give_the_same_values(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     words = ["in.csv", "--pair", "-1", "2.5", "--names", "x", "--names", "y z", "--deep", "2", "--fast", "--no-home"]
     done = CliRunner().invoke(sample, [*words, "--json"], obj=run_command)
@@ -73,7 +73,7 @@ def test_a_command_and_its_words_mean_the_same(tmp_path, monkeypatch):
     assert json.loads(done.stdout) == again.fields
 
 
-def test_a_run_knows_its_command_and_a_poor_result_has_status_1():
+def test_a_run_has_its_command_line_and_a_poor_result_has_status_1():
     done = CliRunner().invoke(sample, ["in.csv", "--size", "9"], obj=run_command)
     assert (done.exit_code, done.stdout) == (1, "sample in.csv --size 9\n")
 
@@ -92,7 +92,7 @@ def test_a_run_knows_its_command_and_a_poor_result_has_status_1():
         ("a --deep 1;rm --names x", "deep"),
     ],
 )
-def test_words_of_another_kind_are_refused_by_their_name(words, argument):
+def test_words_of_a_wrong_type_are_refused_with_the_name_of_the_option(words, argument):
     with pytest.raises(OperationError) as refused:
         context_of(["sample", *words.split()])
     assert refused.value.argument in (argument, "sample")
@@ -105,7 +105,7 @@ def test_an_option_without_effect_is_refused(words, argument):
     assert refused.value.argument == argument
 
 
-def test_axes_have_values_of_their_own_and_in_common():
+def test_options_hold_for_all_axes_or_for_one():
     words = ["--limits", "0", "100", "--limits", "x=-5", "120", "--slew-rate", "none", "--slew-rate", "y=5"]
     given = context_of(["export", "model.json", "c", *words]).params
     assert given["limits"].of("xy") == [(-5, 120), (0, 100)]

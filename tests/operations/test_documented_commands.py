@@ -36,7 +36,7 @@ def parsed(words):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(places.ROOT)))
-def test_its_commands_are_understood(page):
+def test_the_commands_on_a_page_are_understood(page):
     for line in commands(page):
         # Placeholders that a user replaces: the number of a data sheet, a file that another command writes.
         complete = line.replace("GAIN", "1").replace("@scope.txt", "rate=1")
@@ -52,7 +52,7 @@ def test_its_commands_are_understood(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(places.ROOT)))
-def test_options_in_its_sentences_exist(page):
+def test_the_options_in_the_sentences_of_a_page_exist(page):
     if "decisions" not in page.parts:
         code = " ".join(re.findall(r"`([^`\n]+)`", page.read_text()))
         assert {*re.findall(r"(?<![\w-])--[a-z][\w-]*", code)} <= OPTIONS

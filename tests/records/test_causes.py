@@ -80,7 +80,7 @@ def test_a_good_record_has_no_cause(mechanism, drive):
 
 @pytest.mark.parametrize("drive", DRIVES)
 @pytest.mark.parametrize("mechanism", MECHANISMS)
-def test_loops_that_run_the_wrong_way_are_explained_by_what_happened(mechanism, drive):
+def test_loops_in_the_wrong_direction_are_refused_with_their_cause(mechanism, drive):
     v = DRIVES[drive]
     y = noisy(MECHANISMS[mechanism](v))
     for word, other, made in (
@@ -95,14 +95,14 @@ def test_loops_that_run_the_wrong_way_are_explained_by_what_happened(mechanism, 
 @pytest.mark.parametrize("samples", [1, 2, 4])
 @pytest.mark.parametrize("drive", ["triangles", "rests"])
 @pytest.mark.parametrize("mechanism", MECHANISMS)
-def test_a_displacement_that_is_early_is_told_by_how_much(mechanism, drive, samples):
+def test_the_lead_of_an_early_displacement_is_stated(mechanism, drive, samples):
     v = DRIVES[drive]
     early = record(v[:-samples], noisy(MECHANISMS[mechanism](v))[samples:])
     assert loops.early_turns(early) == samples
     assert "either" not in loops.leading(early, early.cycles())
 
 
-def test_branches_that_are_sorted_are_told_and_a_sawtooth_is_not():
+def test_sorted_branches_are_found_and_a_sawtooth_is_accepted():
     up = np.linspace(0, 100, 101)
     y = MECHANISMS["plays"](np.concatenate([up, up[::-1], up, up[::-1], up, up[::-1]]))
     branches = [y[k : k + 101][:: -1 if k % 2 else 1] for k in range(0, y.size, 101)]
@@ -131,7 +131,7 @@ def test_branches_that_are_sorted_are_told_and_a_sawtooth_is_not():
         (straight(V) * (1 + 1e-5 * V), False),
     ],
 )
-def test_an_echo_of_the_command_is_no_measurement(displacement, echoes):
+def test_an_echo_of_the_command_is_refused(displacement, echoes):
     assert bool(loops.echo(record(V, displacement))) == echoes
     if echoes:
         with pytest.raises(RecordError, match="set-point"):
@@ -147,7 +147,7 @@ HELD = {
 
 
 @pytest.mark.parametrize("held", HELD)
-def test_a_polled_displacement_repeats_in_time(held):
+def test_repeated_samples_of_a_polled_sensor_are_found(held):
     polled = record(V, noisy(Y)[HELD[held]])
     found = new_samples(polled.voltage, polled.displacement)
     assert np.count_nonzero(found) == np.unique(HELD[held]).size
@@ -158,13 +158,13 @@ def test_a_polled_displacement_repeats_in_time(held):
     taken.check_usable()
 
 
-def test_a_displacement_that_is_new_too_seldom_is_refused():
+def test_a_displacement_with_too_few_new_samples_is_refused():
     with pytest.raises(RecordError, match="every 25th sample"):
         record(V, noisy(Y)[np.arange(V.size) // 25 * 25]).check_usable()
 
 
 @pytest.mark.parametrize("step", [3e-8, 1e-7, 1e-6])
-def test_a_coarse_converter_does_not_repeat_in_time(step):
+def test_a_coarse_converter_is_not_taken_for_repeated_samples(step):
     coarse = record(V, step * np.round(noisy(Y) / step))
     assert new_samples(coarse.voltage, coarse.displacement) is None
     assert any("quantised" in sentence for sentence in record(V, 1e-6 * np.round(noisy(Y) / 1e-6)).problems())
@@ -173,7 +173,7 @@ def test_a_coarse_converter_does_not_repeat_in_time(step):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_uneven_steps_are_no_noise(seed):
+def test_uneven_time_steps_are_not_taken_for_noise(seed):
     rng = np.random.default_rng(seed)
     time = np.cumsum(0.02 * rng.gamma(4, 0.25, V.size))
     v = np.interp(time, T, V)
@@ -193,7 +193,7 @@ def test_uneven_steps_are_no_noise(seed):
         (T[np.arange(T.size) // 2], 100),
     ],
 )
-def test_a_time_that_does_not_rise_has_its_own_cause(time, told):
+def test_a_time_that_does_not_rise_is_refused_with_its_cause(time, told):
     """Told is a word, or the sample rate to give."""
     with pytest.raises(RecordError, match=told if isinstance(told, str) else "rate=") as caught:
         Record(time, V, Y)
@@ -203,7 +203,7 @@ def test_a_time_that_does_not_rise_has_its_own_cause(time, told):
         assert float(re.search(r"rate=([\d.]+)", str(caught.value))[1]) == pytest.approx(told, rel=2e-3)
 
 
-def test_a_time_that_falls_is_judged_by_the_loops():
+def test_the_loops_show_the_cause_of_a_falling_time():
     with pytest.raises(RecordError, match="reverse order"):
         Record(T[::-1], V[::-1], Y[::-1])
     twice = np.arange(V.size) // 2
@@ -212,7 +212,7 @@ def test_a_time_that_falls_is_judged_by_the_loops():
 
 
 @pytest.mark.parametrize("drive", ["triangles", "sines"])
-def test_a_servo_leaves_a_lag_and_no_hysteresis(drive):
+def test_a_closed_servo_loop_is_found_by_its_lag_without_hysteresis(drive):
     v = DRIVES[drive]
     for lag in (0, 1.5, 3):
         (sentence,) = record(v, noisy(straight(late(v, lag)))).problems()
@@ -222,14 +222,14 @@ def test_a_servo_leaves_a_lag_and_no_hysteresis(drive):
 
 @pytest.mark.parametrize(("low", "high"), [(0, 85), (0, 94), (8, 100)])
 @pytest.mark.parametrize("drive", DRIVES)
-def test_a_clamped_amplifier_is_told_with_its_voltage(drive, low, high):
+def test_a_clamped_amplifier_is_reported_with_its_voltage(drive, low, high):
     v = DRIVES[drive]
     (sentence,) = record(v, noisy(MECHANISMS["plays"](np.clip(v, low, high)))).problems()
     (volts,) = [number for number in (low, high) if number not in (0, 100)]
     assert any(f" {volts + away:.4g} V" in sentence for away in (-1, -0.5, 0, 0.5, 1))
 
 
-def test_a_walk_with_the_travel_is_no_drift_in_time():
+def test_a_displacement_that_slips_is_not_taken_for_a_drift():
     v = sines((100, 100, 30, 90, 40, 20, 90, 50))
     y, travel = MECHANISMS["plays"](v), np.cumsum(np.abs(np.diff(v, prepend=0.0)))
     (sentence,) = record(v, noisy(y + 1e-9 * travel)).problems()
@@ -238,7 +238,7 @@ def test_a_walk_with_the_travel_is_no_drift_in_time():
 
 
 @pytest.mark.parametrize("count", [4, 10, 18, 36])
-def test_fringes_are_counted_and_noise_is_not(count):
+def test_fringes_are_found_and_noise_is_not_taken_for_fringes(count):
     phase = 2 * np.pi * count * Y / np.ptp(Y)
     fringes = record(V, noisy(0.5e-6 * (1 + np.cos(phase)), 1e-8))
     with pytest.raises(RecordError, match="fringes"):
@@ -291,7 +291,7 @@ def test_a_butterfly_is_refused_with_the_voltages_to_record(low, high, noise, si
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-7])
-def test_loops_within_the_coercive_field_are_no_butterflies(noise):
+def test_loops_within_the_coercive_field_are_not_taken_for_butterfly_loops(noise):
     butterfly(-40, 120, noise).check_usable()
     # With an inverted sensor; poled the other way and kept there: the whole displacement falls.
     for falling, words in (
@@ -303,7 +303,7 @@ def test_loops_within_the_coercive_field_are_no_butterflies(noise):
 
 
 @pytest.mark.parametrize("samples", [0, 20, 100, 200])
-def test_a_lag_is_no_butterfly(samples):
+def test_a_lag_is_not_taken_for_a_butterfly_loop(samples):
     """A phase lag makes the displacement fall at the beginning of each rise, but rise at the beginning of each fall."""
     v = 100 - 100 * np.cos(2 * np.pi * np.arange(4001) / 1000)
     assert loops.butterfly(v[200:], straight(v[200 - samples : v.size - samples])) is None
@@ -312,7 +312,7 @@ def test_a_lag_is_no_butterfly(samples):
 @pytest.mark.parametrize("drift", [-0.5, 0.0, 0.5])
 @pytest.mark.parametrize("mechanism", MECHANISMS)
 @pytest.mark.parametrize("drive", DRIVES)
-def test_loops_with_a_drift_are_no_butterflies(mechanism, drive, drift):
+def test_a_drift_is_not_taken_for_a_butterfly_loop(mechanism, drive, drift):
     y = MECHANISMS[mechanism](DRIVES[drive])
     assert loops.butterfly(DRIVES[drive], y + drift * np.ptp(y) * np.linspace(0, 1, y.size)) is None
 
@@ -325,31 +325,31 @@ RNG = np.random.default_rng(3)
 
 @pytest.mark.parametrize("noise", [0.0, 0.01, 0.2])
 @pytest.mark.parametrize(("voltage", "speed"), [(TRIANGLE, 50.0), (SINE, 100 * np.pi)])
-def test_the_recorded_speed_is_that_of_the_branches_whatever_the_noise(voltage, speed, noise):
+def test_noise_does_not_change_the_recorded_speed(voltage, speed, noise):
     noisy = voltage + noise * RNG.normal(size=TIME.size)
     assert speed <= recorded_slew_rate([(TIME, noisy)]) <= 1.15 * speed
 
 
-def test_steps_and_glitches_do_not_count():
+def test_steps_and_glitches_do_not_change_the_recorded_speed():
     voltage = TRIANGLE + 30.0 * (TIME > 1)
     voltage[[500, 2000, 2001]] -= 90
     voltage[4000:4006] = np.linspace(0, 100, 6)
     assert recorded_slew_rate([(TIME, voltage)]) == pytest.approx(52.5, rel=0.02)
 
 
-def test_the_fastest_of_many_records_counts():
+def test_the_recorded_speed_is_that_of_the_fastest_record():
     assert recorded_slew_rate([(TIME, TRIANGLE), (TIME, SINE)]) == pytest.approx(100 * np.pi, rel=0.06)
     assert recorded_slew_rate([(2 * TIME, TRIANGLE), (10 * TIME, TRIANGLE)]) == pytest.approx(25, rel=0.06)
 
 
 @pytest.mark.parametrize("voltage", [np.where(TIME % 1 < 0.5, 0.0, 100.0), np.full(TIME.size, 3.0)])
-def test_steps_and_rests_alone_tell_no_speed(voltage):
+def test_steps_and_rests_alone_give_no_speed(voltage):
     assert recorded_slew_rate([(TIME, voltage)]) is None
     assert recorded_slew_rate([(TIME[:3], TRIANGLE[:3])]) is None
     assert recorded_slew_rate([]) is None
 
 
-def test_what_a_long_signal_tells_is_told_from_parts_of_it(monkeypatch):
+def test_parts_of_a_long_signal_give_the_same_result(monkeypatch):
     rng = np.random.default_rng(0)
     values = np.sin(np.arange(40_000) / 300) + 1e-3 * rng.normal(size=40_000)
     noise = signals.white_noise(values)
@@ -360,7 +360,7 @@ def test_what_a_long_signal_tells_is_told_from_parts_of_it(monkeypatch):
 
 
 @pytest.mark.parametrize("samples", [10, 16, 24])
-def test_few_samples_a_cycle_are_no_noise(samples):
+def test_few_samples_per_cycle_are_not_taken_for_noise(samples):
     v = triangles(samples / 4)
     few = record(v, noisy(MECHANISMS["plays"](v)), samples / 4)
     assert few.noise == pytest.approx(NOISE, rel=0.4)

@@ -19,7 +19,7 @@ FILE = {"time_s": T, "voltage_V": V, "displacement_um": Y * 1e6}
 RECORD = Record(T, V, Y, "r", others=OTHERS)
 
 
-def test_they_are_named_with_their_roles():
+def test_channels_have_names_and_roles():
     several = Record(T, np.c_[V, V], np.c_[Y, 2 * Y], others=OTHERS)
     made = Record.from_arrays(T, V, Y * 1e6, units="um", others=OTHERS)
     for record in (RECORD, made, several, several.axis("y")):
@@ -67,12 +67,12 @@ def test_units_are_those_of_the_quantity(column, values, name, expected):
         {"temperature_C": T, "temperature_K": T + 273},
     ],
 )
-def test_what_cannot_be_a_channel_is_refused(others):
+def test_impossible_channels_are_refused(others):
     with pytest.raises(RecordError):
         Record(T, V, Y, others=others)
 
 
-def test_cleaning_and_means_keep_them_in_step():
+def test_cleaning_and_averaging_keep_channels_aligned():
     v = V.copy()
     v[30] += 40
     found = cleaned(Record(T, v, Y, others=OTHERS))
@@ -94,7 +94,7 @@ def test_temperatures_are_found_in_files_of_others(suffix, tmp_path):
     assert record.temperature == pytest.approx(TEMPERATURE)
 
 
-def test_columns_choose_and_leave_out(tmp_path):
+def test_columns_select_channels(tmp_path):
     path = tmp_path / "a.csv"
     rows = np.column_stack([T, V, Y, TEMPERATURE, HUMIDITY]).tolist()
     path.write_text("\n".join(",".join(map(repr, row)) for row in rows))
@@ -118,7 +118,7 @@ def test_a_channel_that_cannot_be_read_is_left_out_unless_it_was_asked_for(tmp_p
         read(path, "time=1:s, voltage=2:V, displacement=3:um, temperature=4:C")
 
 
-def test_a_second_file_may_have_them(tmp_path):
+def test_a_second_file_may_have_the_channels(tmp_path):
     write_columns(tmp_path / "a.csv", FILE)
     slow = np.linspace(-1, 3, 20)
     write_columns(tmp_path / "b.csv", {"time_s": slow, "temperature_C": 20 + slow})

@@ -114,7 +114,7 @@ def test_a_record_without_glitches_loses_nothing(seed, kind, cycle, cycles, lag,
     width=st.integers(1, 3),
     sensor=st.sampled_from([0.0, 1e-4, 1e-3]),
 )
-def test_glitches_above_slew_and_noise_are_found_and_only_they(seed, kind, cycle, lag, count, noise, width, sensor):
+def test_only_glitches_above_slew_and_noise_are_found(seed, kind, cycle, lag, count, noise, width, sensor):
     rng = np.random.default_rng(seed)
     # A value that fills 2 % of a record is usual there, and no glitch.
     size = max(6 * cycle + 200, 60 * count * width)
@@ -157,7 +157,7 @@ def test_a_pulse_that_the_displacement_follows_is_no_glitch(first, pulse, width,
 
 
 @pytest.mark.parametrize("samples", [[0], [200], [600, 700, 1400]], ids=["first", "turn counted", "three apart"])
-def test_a_glitch_widens_no_limits_and_spoils_no_fit(samples, clean_fit):
+def test_a_glitch_does_not_change_limits_and_fit(samples, clean_fit):
     fit = fitted(with_voltage(CLEAN, samples, 500.0))
     assert fit.actuator.limits == clean_fit.actuator.limits == (0.0, 200.0)
     (error,), (clean,) = fit.errors, clean_fit.errors
@@ -263,7 +263,7 @@ PULSE = triangle() + 40.0 * np.isin(np.arange(N), [1000, 1001])
         pytest.param(triangle(), 1e-7 * triangle() + 2e-6 * (np.arange(N) % 9 == 0), id="too many"),
     ],
 )
-def test_what_moves_has_no_spikes(voltage, displacement):
+def test_fast_motion_is_not_taken_for_spikes(voltage, displacement):
     assert not spikes(voltage, displacement).any()
 
 
@@ -286,7 +286,7 @@ def stepped(ring=0.0, frequency=1000.0, damping=0.09, *, after=0.0, noise=1e-8, 
 
 @pytest.mark.parametrize("noise", [1e-9, 1e-8, 3e-8])
 @pytest.mark.parametrize(("frequency", "damping"), [(1000.0, 0.09), (400.0, 0.03), (90.0, 0.1)])
-def test_a_ring_is_set_aside_until_hardly_more_than_the_noise_is_left(frequency, damping, noise):
+def test_ringing_is_left_out_until_it_is_near_the_noise(frequency, damping, noise):
     record = stepped(1.0, frequency, damping, noise=noise)
     ((start, jump, stop),) = transients(record)
     assert (start, jump) == (5999, 6000)
@@ -310,7 +310,7 @@ def test_a_displacement_that_follows_a_step_has_no_transient(creep):
     assert transients(record) == []
 
 
-def test_a_transient_is_no_spike_and_a_spike_no_transient():
+def test_transients_and_spikes_are_distinguished():
     ring = stepped(1.0)
     assert not any("spike" in sentence for sentence in ring.problems())
     quiet = stepped()
@@ -321,7 +321,7 @@ def test_a_transient_is_no_spike_and_a_spike_no_transient():
     assert np.flatnonzero(spikes(spiked.voltage, spiked.displacement)).tolist() == [1000, 9000]
 
 
-def test_a_step_of_several_samples_is_replaced_by_what_its_voltage_does():
+def test_a_repaired_step_follows_its_voltage():
     """From one level to the other in proportion to the voltage."""
     record = stepped(noise=1e-10)
     voltage = record.voltage.copy()

@@ -47,7 +47,7 @@ READ = {
 
 
 @pytest.mark.parametrize("case", READ)
-def test_values(case, tmp_path):
+def test_a_text_of_columns_gives_the_values(case, tmp_path):
     header, text, (volts, micrometres) = READ[case]
     width = header.count(",") + 1 - header.count('"')
     more = ",".join(map(str, range(5, 2 + max(width, 3))))
@@ -89,7 +89,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_refusals(case, tmp_path):
+def test_a_text_of_columns_that_does_not_fit_is_refused(case, tmp_path):
     header, text = REFUSED[case]
     width = header.count(",") + 1
     body = "".join(",".join(str(k + j) for j in range(width)) + "\n" for k in range(30))
@@ -118,7 +118,7 @@ NO_COLUMNS = {
 
 
 @pytest.mark.parametrize("text", NO_COLUMNS)
-def test_a_text_that_is_none_is_refused(text):
+def test_a_malformed_text_of_columns_is_refused(text):
     with pytest.raises(FileFormatError) as caught:
         Columns.of(text)
     assert caught.value.argument == NO_COLUMNS[text]
@@ -133,7 +133,7 @@ def test_a_text_that_is_none_is_refused(text):
         Columns(axes={"x": "vx_V:x_um", "y": "vy*2:y:nm*-1 um/um"}, temperature="4:C"),
     ],
 )
-def test_what_is_printed_is_read(columns):
+def test_a_printed_text_of_columns_is_read_again(columns):
     assert Columns.parse(str(columns)) == columns
     assert set(columns.entries()) <= {part.name for part in fields(columns)} | {"x", "y"}
 
@@ -162,7 +162,7 @@ PROPOSED = {
 
 
 @pytest.mark.parametrize("case", PROPOSED)
-def test_proposals(case, tmp_path):
+def test_a_refusal_proposes_columns(case, tmp_path):
     header, columns, expected = PROPOSED[case]
     (tmp_path / "a.csv").write_text(f"{header}\n{rows(*columns)}")
     with pytest.raises(ColumnsError) as caught:
@@ -200,7 +200,7 @@ AXES = {
 
 
 @pytest.mark.parametrize("text", AXES)
-def test_columns_of_axes(text, tmp_path):
+def test_columns_of_several_axes_are_read(text, tmp_path):
     body = rows(T, V, -V if "*-1" in text else 2 * V, UM, -UM if "*-1" in text else 2 * UM)
     (tmp_path / "a.csv").write_text(f"{AXES[text]}\n{body}" if AXES[text] else body)
     record = dehyst.read(tmp_path / "a.csv", text)

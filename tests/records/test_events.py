@@ -27,7 +27,7 @@ PLACES = np.interp(EVENTS, T, 0.1 * V)
 KNOWN = Record.from_events(T, V, EVENTS, PLACES, units="um", name="lines")
 
 
-def test_a_held_voltage_is_said_and_a_line_is_not():
+def test_a_held_voltage_is_stated():
     held = Record(T, V, FULL, hold="sample")
     assert len(held.problems()) == len(Record(T, V, FULL).problems()) + 1
     assert "held" in repr(held)
@@ -50,7 +50,7 @@ def test_events_are_moved_to_the_nearest_samples():
     KNOWN.check_usable()
 
 
-def test_only_events_count():
+def test_fits_and_errors_use_only_events():
     aside = replace(KNOWN, set_aside=((0.0, 2.0),))
     assert np.array_equal(counting(KNOWN), KNOWN.measured)
     assert np.array_equal(counting(aside), KNOWN.measured & (T > 2.0))
@@ -92,7 +92,7 @@ def test_mostly_blank_cells_are_events(tmp_path, rows):
         lambda: Record.from_events(T, V, EVENTS, PLACES, units="inch"),
     ],
 )
-def test_what_is_no_record_of_events_is_refused(make):
+def test_impossible_records_of_events_are_refused(make):
     with pytest.raises(RecordError):
         make()
 
@@ -175,14 +175,14 @@ def outcomes(kind, count, fault):
 
 @pytest.mark.parametrize("kind", ["fringe", "grating"])
 @pytest.mark.parametrize("seeds", [range(4), at_night(range(4, 100))])
-def test_counts_are_right(kind, seeds):
+def test_fringes_are_counted_correctly(kind, seeds):
     assert all(misses(kind, *periodic(seed, kind)[:-1]).max() < (0.2 if seed < 8 else 0.3) for seed in seeds)
 
 
 @pytest.mark.parametrize("count", [8, at_night(100)])
 @pytest.mark.parametrize("fault", [at_night("slow"), "blocked"])
 @pytest.mark.parametrize(("kind", "wrong"), [("fringe", 0), ("grating", 1)])
-def test_counts_are_right_or_refused_where_one_is_lost(kind, fault, wrong, count):
+def test_a_lost_fringe_is_refused(kind, fault, wrong, count):
     found = outcomes(kind, count, fault)
     assert found[0] <= max(1, count // 20) and found[3] <= wrong
     # A closed loop is looked at last: its cycle holds the lost count.
@@ -231,7 +231,7 @@ def clean(**how):
         {"v": lambda v: 0 * v},
     ],
 )
-def test_what_cannot_be_counted_is_refused(change):
+def test_a_signal_that_cannot_be_counted_is_refused(change):
     with pytest.raises(RecordError), warnings.catch_warnings():
         warnings.simplefilter("error")
         record_of_periodic(*clean(**change), FRINGE, kind="fringe", name="a")

@@ -67,7 +67,7 @@ def test_a_table_is_read_in_every_notation(dialect, name):
 HEAD = "time_s,voltage_V,displacement_um\n"
 
 
-def test_no_permission(tmp_path, monkeypatch):
+def test_a_file_without_permission_to_read_is_refused(tmp_path, monkeypatch):
     def refuse(*_):
         raise PermissionError
 
@@ -96,7 +96,7 @@ def test_a_million_rows_cost_little_more_than_with_numpy(tmp_path):
     assert read(tmp_path / "a.csv").displacement == pytest.approx(1e-6 * columns[:, 2], abs=1e-16)
 
 
-def test_rounded_columns_have_no_tails_and_keep_within_their_range(tmp_path):
+def test_rounded_columns_have_few_digits_and_keep_their_range(tmp_path):
     limit = 99.9876543219876
     voltage = [0.0050000000000000044, 33.33333333333333, -109.99999999999999, limit]
     write_columns(tmp_path / "a.csv", {"voltage_V": voltage, "empty": [float("nan")] * 4}, digits=12)
@@ -118,7 +118,7 @@ OTHER_PATHS = {
 
 @pytest.mark.parametrize("reader", [read, read_table, dehyst.Actuator.load])
 @pytest.mark.parametrize("case", OTHER_PATHS)
-def test_paths_that_are_no_measurement(tmp_path, reader, case):
+def test_files_that_are_no_measurement_are_refused(tmp_path, reader, case):
     with pytest.raises(FileFormatError):
         reader(OTHER_PATHS[case](tmp_path))
     with pytest.raises(FileFormatError):

@@ -53,7 +53,7 @@ def assert_same(record, other, rows=slice(None), rounding=0.0):
 @pytest.mark.parametrize(
     "rows", [slice(10, 200), slice(-300, None), T < 3, np.arange(0, T.size, 2)], ids=["slice", "end", "mask", "indices"]
 )
-def test_a_part_of_a_record_keeps_all(kind, rows):
+def test_a_part_of_a_record_keeps_all_fields(kind, rows):
     record = replace(RECORDS[kind], name="whole")
     part = record[rows]
     assert_same(part, record, rows)
@@ -65,7 +65,7 @@ def test_a_part_of_a_record_keeps_all(kind, rows):
 
 @pytest.mark.parametrize("suffix", [".csv", ".tsv", ".npz"])
 @pytest.mark.parametrize("kind", RECORDS)
-def test_a_file_of_a_record_keeps_all(kind, suffix, tmp_path):
+def test_a_file_keeps_all_fields_of_a_record(kind, suffix, tmp_path):
     record, path = RECORDS[kind], tmp_path / f"a{suffix}"
     write_record(path, record)
     unit = "m" if suffix == ".npz" else "um"
@@ -75,7 +75,7 @@ def test_a_file_of_a_record_keeps_all(kind, suffix, tmp_path):
 
 
 @given(arrays(float, st.tuples(st.just(2), st.integers(2, 20)), elements=st.floats(-1e6, 1e6)))
-def test_written_numbers_come_back(tmp_path_factory, values):
+def test_written_numbers_are_read_exactly(tmp_path_factory, values):
     path = tmp_path_factory.mktemp("w") / "a.csv"
     record = Record(0.1 * np.arange(values.shape[1]) + 1 / 3, *values)
     write_record(path, record)
@@ -83,7 +83,7 @@ def test_written_numbers_come_back(tmp_path_factory, values):
 
 
 @pytest.mark.parametrize("kind", ["line", "channels", "axes"])
-def test_a_recording_keeps_all(kind, tmp_path):
+def test_a_recording_keeps_all_fields(kind, tmp_path):
     record = replace(RECORDS[kind], hold="line")
     others = {channel.column: channel.values for channel in record.others}
     with Recording(tmp_path / "a.csv", others=others, axes=record.axes) as recording:

@@ -13,7 +13,7 @@ from dehyst.records import Columns, read, read_table
 from dehyst.records.tables import ColumnsError, joined
 
 
-def test_what_becomes_of_each_file_trap_and_twin(monkeypatch):
+def test_each_laboratory_file_and_trap_has_its_stored_result(monkeypatch):
     monkeypatch.syspath_prepend(places.FUZZ)
     import verdicts
 
@@ -31,7 +31,7 @@ def test_units_after_slashes_select_no_other_column(tmp_path):
 # Two files
 
 
-def test_joined_by_time(tmp_path):
+def test_files_are_joined_by_time(tmp_path):
     drive = text(tmp_path, "time_s,voltage_V\n" + laboratory_files.rows(T, V))
     late = np.linspace(0.01, T[-1] - 0.01, 3000)
     sensor = text(tmp_path, "t_ms,y_um\n" + laboratory_files.rows(late * 1e3, 3 * late, number="%.15g"), "b.csv")
@@ -50,7 +50,7 @@ def test_joined_by_time(tmp_path):
         assert found.columns[1].data == pytest.approx(V[inside], abs=1e-6)
 
 
-def test_joined_by_sample(tmp_path):
+def test_files_are_joined_by_sample(tmp_path):
     drive = text(tmp_path, "voltage_V\n" + laboratory_files.rows(V))
     sensor = text(tmp_path, "displacement_um\n" + laboratory_files.rows(UM), "b.csv")
     assert_measured(read(drive, f"rate={RATE}, join={sensor}"))
@@ -105,7 +105,7 @@ def test_a_guess_is_kept_until_it_is_verified(tmp_path):
 @pytest.mark.parametrize(
     "line", ["[1]", '{"guesses": {"voltage": 1}, "others": 3}', '{"guesses": [1]}', "{" * 3000, "\xff", ""]
 )
-def test_stated_guesses_that_are_none_are_ignored(line, tmp_path):
+def test_wrong_stated_guesses_are_ignored(line, tmp_path):
     rows = "".join(f"{k},{k % 5},{k % 7}\n" for k in range(40))
     table = f"# dehyst-record: {line}\ntime_s,voltage_V,displacement_um\n{rows}"
     (tmp_path / "a.csv").write_text(table, "latin-1")

@@ -27,7 +27,7 @@ def fitted():
     return dehyst.identify([read("major"), read("ramps")], structure="maxwell_slip")
 
 
-def test_both_records_are_met_nearly_to_the_sensors_noise():
+def test_the_errors_on_both_records_are_near_the_noise_of_the_sensor():
     fit = fitted()
     assert fit.outcome.good
     for error in fit.errors:
@@ -37,13 +37,13 @@ def test_both_records_are_met_nearly_to_the_sensors_noise():
 
 
 @pytest.mark.nightly
-def test_what_the_records_leave_open_is_said():
+def test_what_the_records_do_not_determine_is_stated():
     # The decaying loops of ramps.csv tell every direction, the sine of major.csv does not.
     both, major = dehyst.identify([read("major"), read("ramps")]), dehyst.identify(read("major"))
     assert (both.outcome, major.outcome) == (Outcome.IDENTIFIED, Outcome.UNDETERMINED)
 
 
-def test_what_the_data_are_known_to_have_is_told():
+def test_the_known_faults_of_the_data_are_reported():
     fit = fitted()
     said = " ".join(fit.repairs)
     begin = re.search(r"major: the first .* \((\d+) samples\) lie outside", said)
@@ -55,7 +55,7 @@ def test_what_the_data_are_known_to_have_is_told():
     assert error.rms < error.rms_with_drift
 
 
-def test_what_was_held_out_is_predicted():
+def test_the_held_out_part_is_predicted():
     ramps = read("ramps")
     rest = replace(ramps[4500:], name="rest")
     fit = dehyst.identify([read("major"), ramps[:4500]], validate=rest, structure="maxwell_slip")

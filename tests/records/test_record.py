@@ -31,7 +31,7 @@ def with_displacement(record, displacement):
     return Record(record.time, record.voltage, displacement, record.name)
 
 
-def test_keeps_read_only_copies():
+def test_a_record_keeps_read_only_copies():
     source = np.array([0.0, 1e-6, 2e-6])
     view = source.view()
     view.flags.writeable = False
@@ -68,7 +68,7 @@ def test_keeps_read_only_copies():
         {"measured": AXES.time > 1},
     ],
 )
-def test_refuses_at_construction(columns):
+def test_impossible_arrays_are_refused(columns):
     changed_ = columns if isinstance(columns, dict) else dict(zip(ARRAYS, columns, strict=True))
     with pytest.raises(RecordError):
         Record(**{name: getattr(AXES, name) for name in ARRAYS} | changed_)
@@ -84,13 +84,13 @@ def test_refuses_at_construction(columns):
         lambda record: record[:11].check_usable(),
     ],
 )
-def test_what_a_record_cannot_be_asked(ask):
+def test_impossible_arguments_of_methods_are_refused(ask):
     with pytest.raises(RecordError):
         ask(lagging())
 
 
 @pytest.mark.parametrize(("peak", "samples"), [(0.0, 6), (1.0, 300), (3.0, 300), (3.0, 6), (12.0, 6)])
-def test_an_error_beyond_noise_is_no_more_than_the_error_and_most_of_it(peak, samples):
+def test_an_error_beyond_noise_is_slightly_less_than_the_error(peak, samples):
     true = peak * np.exp(-((np.arange(-3000, 3000) / samples) ** 2))
     found = [beyond_noise(true + np.random.default_rng(k).normal(0, 1, true.size), 1.0) for k in range(50)]
     assert np.mean([largest_ > peak + 1 for largest_, _ in found]) <= 0.1
@@ -99,7 +99,7 @@ def test_an_error_beyond_noise_is_no_more_than_the_error_and_most_of_it(peak, sa
     assert beyond_noise(true, 0.0) == pytest.approx((peak, np.sqrt(np.mean(true**2))), rel=0.01)
 
 
-def test_noise_is_that_of_smooth_quantised_or_spiky_data():
+def test_noise_is_estimated_of_smooth_quantised_and_spiky_data():
     y = np.sin(2 * np.pi * np.arange(5000) / 1000)
     assert white_noise(y) < 1e-6
     for levels in (8, 50, 1000, 65536):
@@ -120,7 +120,7 @@ def test_noise_is_that_of_smooth_quantised_or_spiky_data():
         ([0, 3, 3, 3, 0, 0, 2], 0.5, [3, 0]),
     ],
 )
-def test_turns_go_back_by_more_than_the_band(corners, band, turns):
+def test_turns_are_larger_than_the_band(corners, band, turns):
     v = np.array(corners, dtype=float)
     found = turning_points(v, band)
     assert v[found].tolist() == turns
@@ -138,7 +138,7 @@ heights = st.lists(st.floats(1, 5), min_size=2, max_size=12).map(np.array)
 
 
 @given(heights, st.floats(0.01, 100), st.booleans(), st.integers(0, 1000))
-def test_turns_are_the_corners_whatever_noise_gain_and_sign(branches, gain, inverted, seed):
+def test_turns_are_the_corners_for_any_noise_gain_and_sign(branches, gain, inverted, seed):
     v = zigzag(branches)
     assert turning_points((-gain if inverted else gain) * v, 0.5 * gain).tolist() == list(range(40, len(v) - 1, 40))
     noisy = v + np.random.default_rng(seed).uniform(-0.1, 0.1, len(v))
@@ -161,7 +161,7 @@ UP, DOWN = np.linspace(0, 100, 50), np.linspace(100, 5, 50)
         (UP, []),
     ],
 )
-def test_cycles(voltage, cycles):
+def test_cycles_are_found(voltage, cycles):
     found = Record(np.arange(len(voltage)), voltage, voltage).cycles()
     assert [(cycle.start, cycle.stop) for cycle in found] == cycles
 
@@ -191,7 +191,7 @@ def changed(time=lambda t: t, voltage=lambda v: v, displacement=lambda y: y):
         (lambda: changed(displacement=lambda y: 1e-6 * y), "unit"),
     ],
 )
-def test_problems(record, word):
+def test_problems_are_named(record, word):
     """Each is the first that is named."""
     assert word in record().problems()[0]
     assert lagging().problems() == ()
@@ -224,7 +224,7 @@ UNUSABLE = {
 
 
 @pytest.mark.parametrize("word", UNUSABLE)
-def test_unusable_records_are_refused_for_their_fault(word):
+def test_unusable_records_are_refused_with_their_fault(word):
     for make in UNUSABLE[word]:
         with pytest.raises(RecordError, match=word):
             make().check_usable()
@@ -245,7 +245,7 @@ WAVE = np.array([1.0, 2.0, 3.5, 2.5, 1.2])
 
 
 @pytest.mark.parametrize(("units", "factor"), [("m", 1.0), ("mm", 1e3), ("um", 1e6), ("µm", 1e6), ("nm", 1e9)])
-def test_arrays_in_a_unit(units, factor):
+def test_arrays_in_a_unit_are_converted(units, factor):
     made = Record.from_arrays(range(5), WAVE, WAVE * 1e-6 * factor, units=units, name="stage")
     np.testing.assert_allclose(made.displacement, WAVE * 1e-6, rtol=1e-15)
     assert (made.name, per_metre(units)) == ("stage", factor)
@@ -260,7 +260,7 @@ def test_arrays_in_another_unit_are_refused(units, displacement):
 
 
 @pytest.mark.parametrize(("column", "factor"), [("time", 1e9), ("time", 1e-6), ("voltage", 1e4), ("displacement", 1e6)])
-def test_what_no_actuator_or_instrument_has_is_refused(column, factor, tmp_path):
+def test_impossible_values_are_refused(column, factor, tmp_path):
     """The error says what was got and what is needed; a file of such times is refused as it is read."""
     record = changed(**{column: lambda values: factor * values})
     with pytest.raises(RecordError, match=f"(?s)got .*, need .*{column}"):
@@ -292,6 +292,6 @@ def test_the_channels_of_a_record_have_names_units_and_roles():
         lambda record: dehyst.Record(record.time, record.voltage[:, 0], record.displacement[:, 0], axes=("x",)),
     ],
 )
-def test_what_one_axis_has_is_not_asked_of_several(ask):
+def test_methods_of_a_single_axis_are_refused_for_several(ask):
     with pytest.raises(dehyst.RecordError, match=r"axis|axes"):
         ask(AXES)

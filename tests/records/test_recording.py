@@ -63,7 +63,7 @@ def test_a_recording_can_be_read_at_any_time(tmp_path):
         ("c.csv", {"others": "T"}),
     ],
 )
-def test_what_no_recording_can_begin_with(name, options, tmp_path):
+def test_impossible_arguments_of_a_recording_are_refused(name, options, tmp_path):
     (tmp_path / "mine.csv").write_text("mine")
     with pytest.raises(FileFormatError):
         Recording(tmp_path / name, **options)
@@ -79,7 +79,7 @@ def test_a_closed_recording_takes_no_samples(tmp_path):
 
 
 @POSIX
-def test_a_killed_process_loses_nothing_that_add_returned_for(tmp_path):
+def test_a_killed_process_loses_no_added_samples(tmp_path):
     process = child(
         tmp_path / "a.csv",
         """
@@ -109,7 +109,7 @@ def test_a_line_that_was_cut_off_is_left_out(tmp_path, cut):
 
 
 @POSIX
-def test_a_full_disk_keeps_whole_lines_and_adds_none_behind_a_gap(tmp_path):
+def test_a_full_disk_leaves_complete_lines_without_a_gap(tmp_path):
     process = child(
         tmp_path / "a.csv",
         """

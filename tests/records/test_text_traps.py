@@ -79,7 +79,7 @@ READ = {
 
 
 @pytest.mark.parametrize("name", READ)
-def test_columns_are_read(tmp_path, name):
+def test_columns_of_text_tables_are_read(tmp_path, name):
     content, decimal, columns = READ[name]
     (tmp_path / "a.csv").write_text(content)
     table = read_table(tmp_path / "a.csv", Columns.parse(f"decimal={decimal}") if decimal else None)
@@ -131,7 +131,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_two_readings_and_broken_tables_are_refused(tmp_path, name):
+def test_ambiguous_and_broken_tables_are_refused(tmp_path, name):
     content, words = REFUSED[name]
     (tmp_path / "a.csv").write_text(content)
     with pytest.raises(DehystError) as caught:
@@ -139,7 +139,7 @@ def test_two_readings_and_broken_tables_are_refused(tmp_path, name):
     assert words in str(caught.value)
 
 
-def test_a_decimal_sign_that_the_file_contradicts(tmp_path):
+def test_a_given_decimal_sign_that_the_file_contradicts_is_refused(tmp_path):
     table(";", HEAD, point(T, 3), point(V, 4), point(UM, 5))(tmp_path / "a.csv")
     with pytest.raises(FileFormatError, match=r"'time_s': row 2 holds '0\.000'"):
         read(tmp_path / "a.csv", "decimal=comma")
@@ -203,7 +203,7 @@ STAMPS: list[tuple[list[str], list[float] | str]] = [
 
 
 @pytest.mark.parametrize(("cells", "seconds"), STAMPS)
-def test_timestamps(cells, seconds):
+def test_timestamps_become_seconds(cells, seconds):
     if isinstance(seconds, list):
         assert clock_of([moment(cell) for cell in cells]) == pytest.approx(seconds, abs=1e-9)
         return
@@ -231,13 +231,13 @@ def test_a_sample_rate_replaces_timestamps_that_are_refused(tmp_path):
         assert is_right(read(tmp_path / "a.csv", "rate=500.0"))
 
 
-def test_a_number_is_not_cut_off_where_a_comment_may_begin(tmp_path):
+def test_a_comment_sign_does_not_cut_a_number(tmp_path):
     (tmp_path / "a.csv").write_text(f"{HEAD}\n0,1,2\n1,2,3#5\n")
     with pytest.raises(FileFormatError, match="row 3 holds '3#5'"):
         read(tmp_path / "a.csv")
 
 
-def test_a_joined_sensor_keeps_its_noise(tmp_path):
+def test_joining_keeps_the_noise_of_a_sensor(tmp_path):
     drive(point(T, 3), "time_s")(tmp_path / "a.csv")
     table(",", "time_s,displacement_um", point(FAST, 9), point(NOISY, 9))(tmp_path / "b.csv")
     for first, second in (("a.csv", "b.csv"), ("b.csv", "a.csv")):
@@ -256,7 +256,7 @@ def test_a_file_whose_time_cannot_be_read_is_not_joined_by_its_samples(tmp_path)
 @pytest.mark.parametrize(
     ("use", "kind"), [(dehyst.read, pd.DataFrame), (dehyst.identify, pd.DataFrame), (read_table, np.array)]
 )
-def test_data_that_is_no_file_is_named_and_not_printed(use, kind):
+def test_data_in_place_of_a_file_name_is_not_printed(use, kind):
     with pytest.raises(DehystError, match=r"dehyst\.Record\.from_arrays") as caught:
         use(kind({"time_s": T, "voltage_V": V, "displacement_um": UM} if kind is pd.DataFrame else T))
     assert len(str(caught.value)) < 200

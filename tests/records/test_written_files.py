@@ -31,7 +31,7 @@ from dehyst.records import write_columns
         read_json,
     ],
 )
-def test_what_cannot_be_written_or_read_leaves_nothing(tmp_path, write):
+def test_a_failed_write_leaves_no_file(tmp_path, write):
     with pytest.raises(FileFormatError):
         write(tmp_path)
     assert list(tmp_path.iterdir()) == []
@@ -49,7 +49,7 @@ def test_a_write_that_fails_keeps_the_old_file(tmp_path, monkeypatch, owner, nam
     assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("a.txt", "old")]
 
 
-def test_a_file_is_on_the_disk_before_it_has_its_name_and_the_name_before_the_end(tmp_path, monkeypatch):
+def test_a_file_is_synced_before_it_is_renamed(tmp_path, monkeypatch):
     """Else a power cut leaves an empty file where the old one was."""
     done, sync, replace = [], os.fsync, Path.replace
 
@@ -80,7 +80,7 @@ def test_a_file_keeps_its_mode_and_a_new_one_has_the_usual(tmp_path):
     assert stat.S_IMODE(path.stat().st_mode) == 0o604
 
 
-def test_a_draft_is_short_hidden_and_known(tmp_path):
+def test_the_name_of_a_draft_is_short_hidden_and_recognised(tmp_path):
     draft = draft_of(tmp_path / (255 * "x"))
     assert is_draft(draft.name) and draft.name.startswith(".") and len(draft.name) < 30
     assert not is_draft("a.tmp") and not is_draft(".dehyst-notes.tmp")
@@ -114,7 +114,7 @@ json_values = st.recursive(
 
 
 @given(st.dictionaries(json_text, json_values, max_size=5))
-def test_written_json_comes_back(tmp_path_factory, data):
+def test_written_json_is_read_exactly(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("j") / "a.json"
     write_json(path, data)
     back = read_json(path)
@@ -122,7 +122,7 @@ def test_written_json_comes_back(tmp_path_factory, data):
     assert repr(back) == repr(data)  # types, signs of zeros and the order of keys too
 
 
-def test_json_layout(tmp_path):
+def test_json_is_indented_ascii_with_its_keys_in_order(tmp_path):
     write_json(tmp_path / "a.json", {"b": [1.0, -0.0], "a": {"é": None}})
     assert (tmp_path / "a.json").read_bytes() == (
         b'{\n "b": [\n  1.0,\n  -0.0\n ],\n "a": {\n  "\\u00e9": null\n }\n}\n'
@@ -153,12 +153,12 @@ BROKEN_JSON = {
 
 
 @pytest.mark.parametrize("case", BROKEN_JSON)
-def test_broken_json(tmp_path, case):
+def test_broken_json_is_refused(tmp_path, case):
     with pytest.raises(FileFormatError):
         read_json(text(tmp_path, BROKEN_JSON[case], "a.json"))
 
 
-def test_json_that_is_no_utf8(tmp_path):
+def test_json_without_utf8_is_refused(tmp_path):
     with pytest.raises(FileFormatError):
         read_json(text(tmp_path, '{"µ": 1}', "a.json", "latin-1"))
 
@@ -170,7 +170,7 @@ CIRCLE["a"] = CIRCLE
 @pytest.mark.parametrize(
     "value", [float("nan"), float("-inf"), np.float64("inf"), {1, 2}, np.arange(3), {"deep": [b"bytes"]}, CIRCLE]
 )
-def test_write_json_refuses(tmp_path, value):
+def test_write_json_refuses_nan_and_other_types(tmp_path, value):
     path = text(tmp_path, "old", "a.json")
     with pytest.raises(FileFormatError):
         write_json(path, {"a": value})

@@ -68,14 +68,14 @@ class ModelContract:
         """Return a new model."""
         return candidate.make()
 
-    def test_is_an_abstract_model_that_cannot_be_changed(self, model):
+    def test_a_model_is_frozen(self, model):
         assert isinstance(model, AbstractModel)
         assert is_dataclass(model)
         for name in [*(part.name for part in fields(model)), "anything"]:
             with pytest.raises(AttributeError):
                 setattr(model, name, 1.0)
 
-    def test_shapes_and_the_other_column_is_the_input(self, model):
+    def test_the_result_has_the_shape_of_the_input_and_contains_it(self, model):
         for n in (0, 1, 60):
             for run, drive, out in _both_ways(model, n):
                 motion = run(drive.tolist())
@@ -86,7 +86,7 @@ class ModelContract:
                 given_in = motion.voltage if out == "displacement" else motion.displacement
                 assert np.array_equal(given_in, drive)
 
-    def test_the_state_handed_back_carries_on(self, model, candidate):
+    def test_the_returned_state_continues_the_motion(self, model, candidate):
         for run, drive, out in _both_ways(model):
             whole, parts, state = getattr(run(drive), out), [], None
             for start, stop in pairwise([0, 1, 17, 18, 50, drive.size]):
@@ -110,19 +110,19 @@ class ModelContract:
                 run(np.where(np.arange(drive.size) == 7, bad, drive))
 
     @pytest.mark.parametrize("bad", [[[0.0]], "text", ["1"], None, [1j], 3.0])
-    def test_what_is_not_a_path_is_refused(self, model, bad):
+    def test_other_arguments_than_a_path_are_refused(self, model, bad):
         for run in (_timed(model.simulate), _timed(model.compensate)):
             with pytest.raises(ModelError, match=r"voltage|displacement"):
                 run(bad)
 
-    def test_the_same_question_gets_the_same_answer(self, model, candidate):
+    def test_equal_calls_have_equal_results(self, model, candidate):
         for run, drive, out in _both_ways(model):
             first = getattr(run(drive), out)
             assert np.array_equal(getattr(run(drive), out), first)
             again = {name: other for other, _, name in _both_ways(candidate.make())}[out]
             assert np.array_equal(getattr(again(drive), out), first)
 
-    def test_rate_independence(self, model, candidate):
+    def test_the_displacement_does_not_depend_on_the_rate(self, model, candidate):
         if _knows_time(model):
             pytest.skip("it depends on time")
         for run, drive, out in _both_ways(model):
@@ -130,7 +130,7 @@ class ModelContract:
             slow = getattr(run(np.append(between.ravel(), drive[-1])), out)
             assert _close(slow[::4], getattr(run(drive), out), candidate.tolerance)
 
-    def test_wiping_out(self, model, candidate):
+    def test_a_larger_loop_wipes_out_smaller_ones(self, model, candidate):
         """A loop within the last one, closed again, leaves no trace in what follows."""
         if _knows_time(model) or not candidate.wipes_out:
             pytest.skip("inner loops leave a trace")
@@ -140,7 +140,7 @@ class ModelContract:
             kept = np.array([0, 1, 2, 3, 8, 9, 10, 11, 12])
             assert _close(getattr(run(at), out)[kept], getattr(run(at[kept]), out), candidate.tolerance)
 
-    def test_simulating_the_compensation_gives_the_path(self, model, candidate):
+    def test_the_simulation_of_compensated_voltages_gives_the_path(self, model, candidate):
         simulate = _timed(model.simulate)
         state = simulate(_walk(30, seed=1)).state
         path = simulate(_walk(1000, seed=2), state=state).displacement
@@ -148,7 +148,7 @@ class ModelContract:
         assert _close(simulate(sent.voltage, state=state).displacement, path, candidate.tolerance)
 
     @pytest.mark.parametrize("middle", [0.15, 0.85], ids=["below", "above"])
-    def test_an_inverse_beyond_the_range_is_right_or_refused(self, model, candidate, middle):
+    def test_a_displacement_beyond_the_range_is_compensated_or_refused(self, model, candidate, middle):
         """At -30 to 60 V, and 40 to 130 V: a model may refuse a path, but not lead elsewhere."""
         simulate, beyond = _timed(model.simulate), _walk(200, seed=6) + (middle - 0.5) * _VOLTS
         try:
@@ -158,7 +158,7 @@ class ModelContract:
             pytest.skip("it refuses them")
         assert _close(reached, path, candidate.tolerance)
 
-    def test_compensating_the_simulation_gives_the_voltage(self, model, candidate):
+    def test_the_compensation_of_a_simulated_path_gives_the_voltages(self, model, candidate):
         if not candidate.moves:
             pytest.skip("many voltages lead to a displacement")
         simulate = _timed(model.simulate)
@@ -167,7 +167,7 @@ class ModelContract:
         path = simulate(voltage, state=state).displacement
         assert _close(_timed(model.compensate)(path, state=state).voltage, voltage, candidate.tolerance)
 
-    def test_more_voltage_more_displacement(self, model):
+    def test_the_displacement_rises_with_the_voltage(self, model):
         rise = _timed(model.simulate)(np.linspace(0.05, 0.95, 50) * _VOLTS).displacement
         assert np.all(np.diff(rise) > 0)
 

@@ -42,7 +42,7 @@ def judged(record, held_out, models):
     return scored([record], [held_out], models, lambda _: None)[0]
 
 
-def test_figures_are_those_of_the_residual_by_hand(records):
+def test_errors_are_those_of_the_residual(records):
     line = Linear(plain_records.STROKE / plain_records.VOLTS)
     row = compare(records[0], validate=records[1], models={"line": lambda _: line}).rows[0]
     score, record = row.scores[0], records[0]
@@ -54,7 +54,7 @@ def test_figures_are_those_of_the_residual_by_hand(records):
     assert score.rms == pytest.approx(error.std())
 
 
-def test_the_lead_is_played_and_not_counted(records):
+def test_samples_before_the_held_out_part_are_played_and_not_compared(records):
     whole, cut = (
         judged(records[0], Played(prepare(records[1]), lead=lead), {"truth": plant})[0].scores[1] for lead in (0, 6.0)
     )
@@ -64,7 +64,7 @@ def test_the_lead_is_played_and_not_counted(records):
     assert cut.largest_without < 1e-9
 
 
-def test_the_lead_tells_ours_where_it_began(records):
+def test_dehysts_model_gets_its_state_from_earlier_samples(records):
     """A record that begins in the middle of a motion, but still goes through its range: that tells every cart."""
     middle = records[1][len(records[1]) // 6 :]
     lead = 0.5 * float(np.ptp(middle.time))
@@ -87,7 +87,7 @@ class Stranger(AbstractModel):
         return PLANT.compensate(np.subtract(displacement, self.shift), state=state)
 
 
-def test_the_lead_tells_any_other_model_a_constant(records):
+def test_other_models_get_a_constant_from_earlier_samples(records):
     """Its mean error over the lead's samples that count; without a lead it is told nothing."""
     slope = plain_records.STROKE / plain_records.VOLTS
     chosen = {"shifted": lambda _: Stranger(0.25 * plain_records.STROKE), "line": lambda _: Linear(slope)}
@@ -104,7 +104,7 @@ def test_the_lead_tells_any_other_model_a_constant(records):
     assert line.largest == pytest.approx(np.abs(error[first:] - error[first:].mean()).max())
 
 
-def test_a_lead_without_a_cycle_tells_by_its_last_sample(records):
+def test_earlier_samples_without_a_cycle_give_a_constant_by_the_last_one(records):
     """It ends before the voltage has been through its range: what counts begins after that, and no sample before."""
     line = Linear(plain_records.STROKE / plain_records.VOLTS)
     score = judged(records[0], Played(prepare(records[1]), lead=0.3), {"line": lambda _: line})[0].scores[1]
@@ -115,7 +115,7 @@ def test_a_lead_without_a_cycle_tells_by_its_last_sample(records):
     assert score.largest_without == pytest.approx(np.abs(error[first:] - error[first]).max())
 
 
-def test_the_delay_of_a_model_is_taken_off(records):
+def test_the_delay_of_a_model_is_subtracted(records):
     time, displacement = records[0].time, records[0].displacement
     late = replace(records[0], displacement=np.interp(time - 0.02, time, displacement))
     both = [
@@ -157,7 +157,7 @@ OTHERS = {
 }
 
 
-def test_models_of_others_fail_in_their_own_rows_only(records):
+def test_a_failing_model_affects_only_its_own_row(records):
     comparison = compare(records[0], validate=records[1], models={**OTHERS, "truth": plant})
     found = {row.name: row for row in comparison.rows}
     assert {name for name, row in found.items() if row.failure} == {*OTHERS} - {"empties"}
@@ -167,12 +167,12 @@ def test_models_of_others_fail_in_their_own_rows_only(records):
     assert said == {name: row.failure or None for name, row in found.items()}
 
 
-def test_a_model_of_which_no_sample_counts_has_no_score(records):
+def test_a_model_without_compared_samples_has_no_score(records):
     (row,) = compare(records[0], models={"late": lambda _: Linear(7.0, delay=1e3)}).rows
     assert row.failure and row.scores == ()
 
 
-def test_the_last_quarter_is_held_out_by_itself(records):
+def test_the_last_quarter_is_held_out_by_default(records):
     """No sample of it is seen by a fit; a record whose first three quarters hold no cycle is fitted as a whole."""
     short = plain_records.loops(PLANT, (0, 1, 0, 1), name="short")
     seen = []
@@ -191,7 +191,7 @@ def test_the_last_quarter_is_held_out_by_itself(records):
     assert score.largest_without < 1e-6
 
 
-def test_the_best_model_is_the_one_with_the_least_error_on_what_was_held_out(records):
+def test_the_best_model_has_the_least_error_on_held_out_time(records):
     found = compare(records[0], models={"line": Linear.fit, "truth": plant, "fails": fails(ValueError("no"))})
     errors = {row.name: row.worst("validation").rms for row in found.rows if row.scores}
     best = found.best
@@ -213,7 +213,7 @@ def test_the_best_model_is_the_one_with_the_least_error_on_what_was_held_out(rec
     ],
     ids=["none", "the same twice", "no cycle before the last quarter", "numbers", "two samples"],
 )
-def test_refusals(records, error):
+def test_impossible_arguments_are_refused(records, error):
     with pytest.raises(error):
         compare(records, models={"truth": plant})
 
@@ -223,7 +223,7 @@ def table_of(name="a <b>"):
     return ModelComparison((score, ModelScore("broken", "it <failed>")), 1e-5, ("three",), ("three",))
 
 
-def test_the_page_shows_every_model_and_what_failed(tmp_path):
+def test_the_page_shows_every_model_and_every_failure(tmp_path):
     found = table_of()
     write_comparison(tmp_path / "page.html", found, command="dehyst compare <x>")
     text = (tmp_path / "page.html").read_text()
@@ -249,7 +249,7 @@ TABLE = TwoBranches(
 )
 
 
-def test_each_direction_has_its_branch_and_between_them_nothing_moves():
+def test_two_branches_follow_the_direction_and_rest_in_between():
     up = TABLE.simulate(VOLTS)
     assert np.array_equal(up.displacement, TABLE.rising)
     down = TABLE.simulate(VOLTS[::-1], state=up.state)
@@ -258,7 +258,7 @@ def test_each_direction_has_its_branch_and_between_them_nothing_moves():
     assert turn.displacement[0] == turn.displacement[1] < turn.displacement[2]
 
 
-def test_the_major_loop_of_a_record_is_met():
+def test_two_branches_are_those_of_the_major_loop():
     plant = plain_records.plant()
     record = plain_records.loops(plant, (0, 1, 0, 1, 0))
     table = TwoBranches.fit(record)
@@ -281,7 +281,7 @@ def test_the_major_loop_of_a_record_is_met():
         ([0, 1], [0, np.nan], [0, 1]),
     ],
 )
-def test_what_is_no_table_is_refused(columns):
+def test_impossible_branches_are_refused(columns):
     with pytest.raises(ModelError):
         TwoBranches(*columns)
 
@@ -305,13 +305,13 @@ def broken(records):
 ENTRIES = "flat = rival:flat\nbroken = rival:broken\nabsent = no_such_module:fit\nlinear ratio = rival:broken"
 
 
-def test_a_library_that_is_imported_looks_for_no_entry_point():
+def test_the_import_does_not_search_entry_points():
     code = "import sys, dehyst; assert 'importlib.metadata' not in sys.modules"
     done = subprocess.run([sys.executable, "-S", "-c", f"import sys; sys.path[:] = {sys.path!r}; {code}"], check=False)
     assert done.returncode == 0
 
 
-def test_a_model_of_a_package_is_a_row_and_a_faulty_one_fails_alone(tmp_path, monkeypatch):
+def test_a_model_of_another_package_is_a_row_and_a_faulty_one_fails_alone(tmp_path, monkeypatch):
     information = tmp_path / "rival-1.0.dist-info"
     information.mkdir()
     (information / "METADATA").write_text("Metadata-Version: 2.1\nName: rival\nVersion: 1.0\n")

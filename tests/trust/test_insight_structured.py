@@ -51,7 +51,7 @@ def trajectory():
     return path, np.arange(path.size) / structured_records.RATE
 
 
-def test_a_lone_loop_is_something_to_beware_of():
+def test_a_single_loop_has_a_warning():
     plant = truth("graded, transformer")
     short = structured_records.wandering(branches=0, samples=200)
     lone, whole = replace(plant, path=short).record(noise=NOISE), plant.record(noise=NOISE)
@@ -66,7 +66,7 @@ def test_a_lone_loop_is_something_to_beware_of():
 
 
 @pytest.mark.parametrize("name", STRUCTURES)
-def test_a_look_at_a_wider_model(name, tmp_path):
+def test_insight_works_for_every_structure(name, tmp_path):
     found, fit, _ = looked(name)
     told_ = json.loads(json.dumps(found.as_dict()))
     assert told_["promise"] == found.plan.promise.as_dict()
@@ -83,7 +83,7 @@ def test_a_look_at_a_wider_model(name, tmp_path):
 
 
 @pytest.mark.parametrize(("gain", "told"), [(1.0, False), (0.8, True), (0.2, True)])
-def test_records_that_are_not_the_models_are_told(gain, told):
+def test_records_of_another_model_have_a_warning(gain, told):
     _, fit, record = looked("plain")
     found = insight(fit.actuator, Record(record.time, record.voltage, gain * record.displacement, "other"))
     assert bool(found._of_others()) == told

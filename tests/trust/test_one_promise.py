@@ -54,7 +54,7 @@ def answer(*arguments, cwd):
 
 
 @pytest.mark.parametrize("name", [name if name in ("recommended", "creep") else at_night(name) for name in MODELS])
-def test_five_commands_promise_the_same(name, tmp_path):
+def test_five_commands_print_the_same_promise(name, tmp_path):
     excite, creep, disturbed = MODELS[name]
     made = excite(Sampling(0.1, sample_rate=8.0))
     truth = PlayActuator(highest=TOP, plays=40, noise=2e-9, creep=creep)
@@ -99,7 +99,7 @@ def test_five_commands_promise_the_same(name, tmp_path):
 
 
 @pytest.mark.nightly
-def test_commands_promise_the_same_of_coupled_axes(tmp_path):
+def test_commands_print_the_same_promise_for_coupled_axes(tmp_path):
     write_record(tmp_path / "r.csv", coupled_stage.excited()[0])
     found = answer("identify", "r.csv", "--columns", "x=vx_V:x_um, y=vy_V:y_um", "-o", "m.json", cwd=tmp_path)
     seen = answer("insight", "m.json", "r.csv", cwd=tmp_path)["insights"]
@@ -107,7 +107,7 @@ def test_commands_promise_the_same_of_coupled_axes(tmp_path):
         assert own["promise"] == found["fits"][axis]["verdict"]["promise"]
 
 
-def test_a_model_that_is_not_usable_is_remarked_and_not_good(tmp_path):
+def test_an_unusable_model_has_a_remark_and_status_1(tmp_path):
     made = raised_cosine([TOP], cycles=3, drive=Sampling(0.1, sample_rate=8.0))
     record = Record(made.time, made.voltage, PlayActuator(highest=TOP, plays=40).play(made.voltage), "r")
     write_record(tmp_path / "r.csv", record)
@@ -122,11 +122,11 @@ def test_a_model_that_is_not_usable_is_remarked_and_not_good(tmp_path):
         assert run("insight", "m.json", "r.csv", cwd=tmp_path)[0] == 1
 
 
-def test_no_number_without_what_the_records_tested():
+def test_a_model_without_validity_has_no_promise():
     assert promised(Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0.0, 1e-5], [0.0, 100.0]))) is None
 
 
-def test_a_command_that_was_played_is_not_asked_for_again(tmp_path):
+def test_a_played_command_is_not_recommended_again(tmp_path):
     drive = Sampling(0.1, sample_rate=8.0)
     truth = PlayActuator(highest=TOP, plays=40, noise=2e-9)
     excitation = raised_cosine([TOP], cycles=3, drive=drive)
@@ -150,7 +150,7 @@ def test_a_command_that_was_played_is_not_asked_for_again(tmp_path):
 
 
 @pytest.mark.parametrize("seed", [0, 1, *map(at_night, range(2, 12))])
-def test_whatever_is_not_tested_has_a_command_that_tests_it(seed, tmp_path):
+def test_everything_that_is_not_tested_has_a_command_that_tests_it(seed, tmp_path):
     rng = np.random.default_rng(seed)
     turns = TOP * rng.uniform(0, 1, rng.integers(3, 12))
     time = np.cumsum(rng.uniform(0.5, 5, turns.size))
@@ -189,7 +189,7 @@ def test_records_of_two_stages_are_named_and_do_not_lower_the_promise(stroke, wi
     assert "zero of its sensor" in fit.remarks[0]
 
 
-def test_a_held_voltage_is_known_to_later_commands():
+def test_later_commands_use_the_hold_of_the_records():
     """Its records lead by half a sample: a model that forgot this would miss its own records."""
     made = recommend(Sampling(0.1, sample_rate=8.0))
     half = 0.5 / made.sample_rate
@@ -200,7 +200,7 @@ def test_a_held_voltage_is_known_to_later_commands():
     assert insight(model, record).misfit == pytest.approx(model.identification.largest_error, rel=0.1)
 
 
-def test_a_path_that_ends_in_a_turn_turns_no_faster():
+def test_a_turn_at_the_end_of_a_path_does_not_raise_its_rate_of_turns():
     time = np.arange(0, 0.203, 0.001)
     voltage = 50 - 40 * np.cos(2 * np.pi * 20 * time)
     rate = paces_of(time, voltage, branches_of(voltage, 100.0))[:, 1]

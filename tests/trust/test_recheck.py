@@ -49,7 +49,7 @@ def at_lines(record):
 
 
 @pytest.mark.parametrize("case", ["same", "gain", "width"])
-def test_a_record_of_events_is_judged_as_one_of_all_samples(case):
+def test_a_record_of_events_gets_the_same_judgement_as_all_samples(case):
     whole = loops.later(**CHANGED.get(case, ({},))[0])
     records, (path, _) = (whole, at_lines(whole)), loops.record_loops()
     full, found = (dehyst.update(loops.model(), record) for record in records)
@@ -64,7 +64,7 @@ def test_a_record_of_events_is_judged_as_one_of_all_samples(case):
 
 @pytest.mark.parametrize("case", CHANGED)
 @pytest.mark.parametrize("seed", [1, at_night(2), at_night(3)])
-def test_each_change_is_found_and_named_and_nothing_else_is(case, seed):
+def test_each_change_is_found_without_false_changes(case, seed):
     changes, size = CHANGED[case]
     recheck = dehyst.check(loops.model(), loops.later(seed, **changes))
     name = case.split()[-1]
@@ -73,7 +73,7 @@ def test_each_change_is_found_and_named_and_nothing_else_is(case, seed):
     assert abs(found.value - size) < 3 * found.error < 0.75 * abs(size)
 
 
-def test_what_the_named_changes_leave_is_stated():
+def test_the_error_after_the_named_changes_is_stated():
     truth, record = PlayActuator(plays=loops.PLAYS), loops.later()
     truth._thresholds *= 1.15
     recheck = dehyst.check(loops.model(), replace(record, displacement=truth.play(record.voltage)))
@@ -81,7 +81,7 @@ def test_what_the_named_changes_leave_is_stated():
     assert recheck.promise.rms < of(recheck, "shape").value < recheck.rms
 
 
-def test_width_and_lag_are_one_change_on_smooth_loops_of_one_height(tmp_path):
+def test_width_and_lag_are_not_distinguished_on_smooth_loops_of_one_height(tmp_path):
     recheck = dehyst.check(loops.model(), loops.later(tops=[200.0], width=0.6))
     assert {"width", "lag"} <= set(recheck.changed[0].parts) and len(recheck.changed) == 2
     assert recheck.to_record in recheck.change_sentences()[0]
@@ -96,7 +96,7 @@ def test_an_unchanged_actuator_is_still_true(seed):
     assert recheck.without_noise < 1e-3 * STROKE
 
 
-def test_two_changes_are_told_apart():
+def test_two_changes_are_distinguished():
     recheck = dehyst.check(loops.model(), loops.later(gain=loops.GAIN, offset=-loops.OFFSET, width=-loops.WIDTH))
     assert {change.name for change in recheck.changed} >= {"gain", "width"}
     assert "zero" in {part for change in recheck.changed for part in change.parts}
@@ -106,7 +106,7 @@ def test_two_changes_are_told_apart():
     assert effects == sorted(effects, reverse=True)
 
 
-def test_a_record_shorter_than_the_delay_of_the_model_is_refused_with_both():
+def test_a_record_shorter_than_the_delay_is_refused_with_both_durations():
     with pytest.raises(IdentifyError, match=r"later-1.*1e\+04"):
         dehyst.check(replace(loops.model(), delay=1e4), loops.later())
 
@@ -115,7 +115,7 @@ def test_a_record_shorter_than_the_delay_of_the_model_is_refused_with_both():
 @pytest.mark.parametrize(
     ("changes", "learnt"), [({}, False), ({"gain": loops.GAIN}, True), ({"delay": loops.DELAY}, False)]
 )
-def test_the_judgement_agrees_with_the_promise_and_advises_what_helps(changes, learnt, goal):
+def test_the_judgement_agrees_with_the_promise_and_the_advice_helps(changes, learnt, goal):
     recheck = dehyst.check(loops.model(), loops.later(**changes), goal=goal)
     kept = recheck.without_noise <= recheck.promise.largest and recheck.rms_without_noise <= recheck.promise.rms
     within = recheck.without_noise <= goal / 100 * recheck.stroke
@@ -131,7 +131,7 @@ def test_the_judgement_agrees_with_the_promise_and_advises_what_helps(changes, l
     assert ("dehyst update" in recheck.sentence) == recheck.advises_update
 
 
-def test_a_change_that_counts_is_the_advice_even_if_the_promise_is_kept():
+def test_a_significant_change_gives_the_advice_even_if_the_promise_is_kept():
     recheck = dehyst.check(loops.model(), loops.later(gain=loops.GAIN))
     loose = replace(recheck.promise, largest=recheck.stroke, rms=recheck.stroke)
     kept = replace(recheck, promise=loose)
@@ -143,7 +143,7 @@ def test_a_change_that_counts_is_the_advice_even_if_the_promise_is_kept():
 
 
 @pytest.mark.parametrize(("begin", "unjudged"), [(0, 50.0), (400, 0.0)])
-def test_the_first_branch_is_judged_if_it_begins_as_after_loops(begin, unjudged):
+def test_the_first_branch_is_judged_after_loops_through_the_range(begin, unjudged):
     record = loops.later(tops=[200.0, 200.0, 120.0])[begin:]
     wrong = 0.02 * STROKE * np.exp(-(((record.time - record.time[0] - 25) / 5) ** 2))
     recheck = dehyst.check(loops.model(), replace(record, displacement=record.displacement + wrong))
@@ -161,7 +161,7 @@ def test_the_goal_is_that_of_the_identification():
 
 
 @pytest.mark.parametrize("name", ["plain", "graded", "transformer", "smooth", "all"])
-def test_every_kind_of_model_is_still_true_of_its_own_record(name):
+def test_every_kind_of_model_is_still_true_on_its_own_record(name):
     plant = wide.plant(wide.STRUCTURES[name])
     recheck = dehyst.check(plant.actuator, plant.record(noise=1e-3 * plain_records.STROKE))
     assert recheck.standing is Standing.STILL_TRUE
@@ -174,14 +174,14 @@ def test_every_kind_of_model_is_still_true_of_its_own_record(name):
 
 
 @pytest.mark.parametrize("zero", [-1e-4, 1e-3, 1.0])
-def test_a_sensor_may_have_its_zero_far_away(zero):
+def test_a_distant_zero_of_the_sensor_is_accepted(zero):
     recheck = dehyst.check(loops.model(), loops.later(offset=zero))
     assert recheck.standing is Standing.STILL_TRUE
     assert [change.name for change in recheck.changed] == ["zero"]
     assert abs(of(recheck, "zero").value - zero) < 3 * of(recheck, "zero").error
 
 
-def test_no_zero_is_stated_that_creep_from_before_the_record_moves():
+def test_no_zero_is_stated_if_earlier_creep_moves_it():
     twice = raised_cosine([100.0], cycles=2, drive=Sampling(0.1, sample_rate=20.0))
     excitation = recommended(100.0, drive=Sampling(0.1, sample_rate=20.0))
     voltage = np.append(twice.voltage, excitation.voltage)
@@ -192,7 +192,7 @@ def test_no_zero_is_stated_that_creep_from_before_the_record_moves():
     assert dehyst.check(model, Record(twice.time, twice.voltage, rested)).changed == ()
 
 
-def test_a_narrow_record_leaves_the_offset_open():
+def test_a_narrow_record_gives_an_uncertain_zero():
     recheck = dehyst.check(loops.model(), loops.later(offset=loops.OFFSET, tops=[60.0, 40.0]))
     assert of(recheck, "zero").error > 3 * of(dehyst.check(loops.model(), loops.later()), "zero").error
     assert any("covers 30" in remark for remark in recheck.remarks)
@@ -209,12 +209,12 @@ def test_a_narrow_record_leaves_the_offset_open():
     ],
     ids=["few samples", "no cycle", "still", "a name", "no goal"],
 )
-def test_a_record_that_shows_nothing_is_refused(record, options, error):
+def test_an_unusable_record_or_option_is_refused(record, options, error):
     with pytest.raises(error):
         dehyst.check(loops.model(), record, **options)
 
 
-def test_a_check_as_json_has_no_trace_and_all_numbers():
+def test_a_check_as_json_has_all_numbers_and_no_traces():
     data = dehyst.check(loops.model(), record := loops.later(gain=loops.GAIN)).as_dict()
     assert data["standing"] == "RECALIBRATE"
     assert data["changed"] == ["gain"]
@@ -244,7 +244,7 @@ def stage():
 
 
 @pytest.mark.parametrize("gains", [(1.0, 1.0), (1.06, 0.95)])
-def test_only_a_changed_coupling_is_told(stage, gains):
+def test_only_a_changed_coupling_is_reported(stage, gains):
     for coupling, count in ((coupled_stage.COUPLING, 0), (coupled_stage.COUPLING + OTHER, 1)):
         record, _ = coupled_stage.excited(5, coupling=coupling * np.array(gains))
         found = dehyst.check(stage, record)
@@ -252,13 +252,13 @@ def test_only_a_changed_coupling_is_told(stage, gains):
         assert np.all(np.abs(found.coupling - coupling) <= 3 * found.uncertainty)
 
 
-def test_axes_that_move_together_tell_nothing_of_the_coupling(stage):
+def test_axes_that_move_together_do_not_determine_the_coupling(stage):
     both = TRAINING.voltage[:, :1] * np.array([1.0, 1.2])
     found = dehyst.check(stage, coupled_stage.played(TRAINING.time, both))
     assert np.all(np.isinf(found.uncertainty)) and found.changes == ()
 
 
-def test_the_intervals_hold_the_coupling(stage):
+def test_the_intervals_contain_the_coupling(stage):
     found = insight(stage, TRAINING)
     assert np.all((found.low <= coupled_stage.COUPLING) & (found.high >= coupled_stage.COUPLING))
     assert np.all(found.high - found.low < 0.002)

@@ -31,7 +31,7 @@ def branch(found, begin, end):
     return are_tested(np.array([[begin, end]]), found.rising, found.falling, found.edges)[0]
 
 
-def test_loops_that_return_to_the_bottom_test_rises_from_there_only():
+def test_loops_from_the_bottom_test_only_rises_from_the_bottom():
     found = plane(0, 100, 0, 80, 0, 60, 0, 40, 0, 20, 0)
     for upper in (100, 80, 60, 40):
         assert branch(found, 0, upper)
@@ -50,13 +50,13 @@ def test_a_branch_is_tested_as_far_as_a_record_went():
     assert branch(found, 52, 71)
 
 
-def test_the_rise_from_an_unknown_start_is_no_turn():
+def test_the_first_rise_from_an_unknown_start_is_no_turn():
     found = plane(50, 100, 0)
     assert [(turn.begin, turn.end) for turn in found.turns] == [(100.0, 0.0)]
     assert not branch(found, 50, 90)
 
 
-def test_speed_and_number_of_turns_are_counted():
+def test_speeds_and_turns_are_counted():
     found = plane(*[0, 100] * 5, 0, speed=20.0, hold=3.0)
     assert sorted(turn.times for turn in found.turns) == [5, 5]
     assert [turn.speed for turn in found.turns] == pytest.approx([20.0, 20.0], rel=1e-3)
@@ -72,13 +72,13 @@ def test_a_path_has_the_speeds_of_the_promise():
     assert all(np.isnan(turn.speed) for turn in found.path(voltage))
 
 
-def test_a_voltage_that_rests_has_no_plane():
+def test_a_constant_voltage_has_no_turn_plane():
     rest = np.zeros(10)
     assert turn_plane([("rest", np.arange(10.0), rest)]) is None
     assert turn_plane([("rest", np.arange(10.0), rest)], (0.0, 100.0)) is None
 
 
-def test_a_long_record_is_looked_at_in_steps():
+def test_a_long_record_is_evaluated_in_steps():
     time = np.linspace(0, 10, 1_000_000)
     found = turn_plane([("long", time, 50 - 50 * np.cos(2 * np.pi * time))])
     assert {round(turn.end, 1) for turn in found.turns} == {0.0, 100.0}

@@ -81,7 +81,7 @@ def test_friction_or_a_gain_changes_all_thresholds(old, friction, gain):
     assert np.all(error(old, test) > [0.01, 0.005])
 
 
-def test_one_loop_of_a_creeping_actuator_is_enough_too():
+def test_one_loop_is_enough_with_creep():
     """What creeps from before the record could take the place of a change of gain, if it could be any size."""
     creep = DisplacementCreep([0.5, 5.0, 50.0], np.full(3, 0.02))
     model, stage = replace(TRUE, displacement_creep=creep), replace(aged(-0.07, 0.25), displacement_creep=creep)
@@ -112,7 +112,7 @@ def test_a_stage_that_has_not_changed_keeps_its_model(old):
 
 
 @pytest.mark.parametrize("parts", [{}, {"thermal": dehyst.Thermal(2e-3, 0.0, 20.0)}])
-def test_a_record_counts_in_the_promise_even_if_it_teaches_nothing(old, parts):
+def test_a_record_widens_the_promise_even_if_the_old_model_stays(old, parts):
     model, record = replace(old, **parts), driven(TRUE, (*ONE_LOOP, 0.5, 0), seed=1)
     record = replace(record, others={"temperature_C": np.full(len(record), 20.0)})
     bent = 0.03 * plain_records.STROKE * np.sin(np.linspace(0, 40, len(record)))
@@ -127,14 +127,14 @@ def test_a_record_counts_in_the_promise_even_if_it_teaches_nothing(old, parts):
     assert made.actuator.slip is model.slip
 
 
-def test_what_a_record_does_not_visit_is_named_and_stays(old):
+def test_parts_that_a_record_does_not_show_stay_and_are_named(old):
     stage = aged(-0.07, 0.0)
     made = dehyst.update(old, driven(stage, (0, 0.5, 0, 0.5, 0, 0.5, 0), seed=1))
     assert any("not visited" in sentence for sentence in made.missing)
     assert made.as_dict()["missing"] == list(made.missing)
 
 
-def test_the_zero_of_the_sensor_is_told_from_the_stage(old):
+def test_the_zero_of_the_sensor_is_distinguished_from_the_stage(old):
     record = driven(aged(-0.07, 0.25), ONE_LOOP, seed=1)
     made = dehyst.update(old, replace(record, displacement=record.displacement - 5e-6))
     assert made.used
@@ -147,7 +147,7 @@ def test_another_actuator_is_refused(old):
         dehyst.update(old, replace(record, displacement=3 * record.displacement))
 
 
-def test_parts_behind_the_elements_stay_as_they_are(old):
+def test_parts_after_the_elements_do_not_change(old):
     creep, thermal = DisplacementCreep([0.5, 5.0], [0.02, 0.02]), dehyst.Thermal(2e-3, 0.0, 20.0)
     model, stage = (replace(own, displacement_creep=creep, thermal=thermal) for own in (old, aged(-0.07, 0.25)))
     made = driven(aged(-0.07, 0.25), ONE_LOOP, seed=1)

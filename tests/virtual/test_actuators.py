@@ -11,7 +11,7 @@ from dehyst.virtual import PlayActuator
 from dehyst.waveforms import standard
 
 
-def test_descending_lies_above_ascending_and_the_loop_is_not_antisymmetric():
+def test_the_falling_branch_is_above_the_rising_one_and_loops_are_asymmetric():
     truth = PlayActuator(noise=0)
     y = truth.play(standard.raised_cosine(truth.highest, cycles=2).voltage)[400:]
     up, down = y[1:200], y[201:400][::-1]

@@ -108,7 +108,7 @@ def test_an_unchanged_form_gives_the_columns_from_which_it_was_made(text):
     assert columns_of(entry, form_of(entry)["values"]) == text
 
 
-def test_a_suggestion_is_marked_and_a_guess_that_is_taken_remains_one():
+def test_a_suggestion_is_marked_and_an_accepted_guess_stays_a_guess():
     entry = record(status="refused", hint="voltage=U:V?, displacement=3:um")
     form = form_of(entry)
     assert form["marked"] == ["voltage_1", "displacement_1"] and form["help"]
@@ -134,7 +134,7 @@ def test_a_scale_may_have_a_decimal_comma():
         ("voltage=is it?here", "voltage=is it?here"),
     ],
 )
-def test_verified_columns_are_no_guesses(columns, known):
+def test_verified_columns_have_no_marks_of_guesses(columns, known):
     assert verified(columns) == known
 
 

@@ -143,7 +143,7 @@ def played(steps):
 
 
 @played
-async def test_a_record_is_ready_with_what_was_understood(stage):
+async def test_a_ready_record_states_how_it_was_understood(stage):
     entry = await stage.record()
     assert (entry.status, entry.samples, entry.voltage) == ("ready", 100, [0, 100])
     assert entry.words == ["voltage from 'U', 100 V/V", "displacement from 's'"]
@@ -169,7 +169,7 @@ async def test_an_excitation_keeps_the_limits_and_is_listed(stage):
 
 
 @played
-async def test_a_refused_table_has_the_reason_its_columns_and_no_place_of_the_folder(stage):
+async def test_a_refused_table_has_a_reason_and_its_columns_and_no_path_of_the_folder(stage):
     entry = stage.session.add_record("uploads/a.csv", "a.csv")
     columns = [{"name": "U", "unit": "", "range": [0, 1]}, {"name": "s", "unit": "um", "range": []}]
     tried = {"file_columns": columns, "suggestion": "voltage=U:V"}
@@ -193,7 +193,7 @@ def test_the_page_computes_with_a_model_that_depends_on_temperature(tmp_path):
 
 
 @played
-async def test_a_model_is_no_record(stage):
+async def test_a_model_file_is_refused_as_a_record(stage):
     Actuator(MaxwellSlip([], []), Spring([0, 1e-5], [0, 100])).save(stage.session.folder.path / "uploads" / "m.json")
     entry = stage.session.add_record("uploads/m.json", "m.json")
     assert entry.status == "refused" and "is a model" in entry.error
@@ -201,7 +201,7 @@ async def test_a_model_is_no_record(stage):
 
 
 @played
-async def test_a_record_that_a_model_is_from_is_not_read_otherwise(stage):
+async def test_a_training_record_cannot_be_read_differently(stage):
     entry = await stage.model(Finished(error={"message": "no loop"}))
     assert (entry.status, entry.error) == ("failed", "no loop")
     with pytest.raises(SessionError, match="upload"):
@@ -227,7 +227,7 @@ async def test_a_model_is_not_ready_before_its_ranges_are_known(stage):
 
 
 @played
-async def test_the_first_end_asks_for_the_best_so_far_the_second_stops(stage):
+async def test_the_first_end_keeps_the_best_model_and_the_second_stops(stage):
     record = await stage.record()
     entry = stage.session.identify({"train": [record.id]})
     await asyncio.sleep(0.01)
@@ -261,7 +261,7 @@ async def test_two_jobs_run_at_a_time_in_kept_workers_and_a_waiting_one_can_be_c
 
 
 @played
-async def test_an_export_has_the_period_that_is_given_and_a_missing_one_is_asked_for_by_its_field(stage):
+async def test_an_export_has_the_given_period_and_a_missing_period_names_its_field(stage):
     entry = await stage.model(Finished(FIT))
     stage.session.export(entry.id, {"kind": "c", "period": 0.002})
     await stage.next(Finished({}))
@@ -341,7 +341,7 @@ async def test_a_record_of_several_axes_is_identified_and_followed(stage):
 
 
 @played
-async def test_deleting_an_entry_ends_what_is_made_for_it(stage):
+async def test_deleting_an_entry_ends_its_jobs(stage):
     entry = stage.session.add_record("uploads/a.csv", "a.csv")
     await asyncio.sleep(0.01)
     stage.session.delete(entry.id)

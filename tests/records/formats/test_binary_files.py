@@ -160,7 +160,7 @@ READ = {
 
 
 @pytest.mark.parametrize("name", READ)
-def test_what_is_read(name, tmp_path):
+def test_binary_files_are_read(name, tmp_path):
     path = tmp_path / name
     READ[name](path)
     record = read(path)
@@ -240,7 +240,7 @@ def elsewhere(kind, name="displacement_um"):
         "object.mat": matlab73(NAMED | {"displacement_um": T}, {"displacement_um.MATLAB_object_decode": 3}),
     }.items(),
 )
-def test_columns_that_cannot_be_read_have_a_fault(name, write, tmp_path):
+def test_unreadable_columns_state_their_fault(name, write, tmp_path):
     write(tmp_path / name)
     (faulty,) = (column for column in read_table(tmp_path / name).columns if column.fault)
     assert (faulty.leaf, faulty.data.size) == ("displacement_um", 0)
@@ -248,7 +248,7 @@ def test_columns_that_cannot_be_read_have_a_fault(name, write, tmp_path):
     refused(tmp_path / name, (), f"displacement={faulty.name}")
 
 
-def test_units(tmp_path):
+def test_units_come_from_names_and_attributes(tmp_path):
     columns = {"time": "", "voltage_mV": "mV", "y": "nm", "z": "mm", "w": "um"}
     values = {f"run/{name}": np.arange(3.0) for name in columns}
     hdf5(values, {"run.unit": "nm", "run/z.unit": "mm", "run/w.units": np.bytes_("um")})(tmp_path / "a.h5")
@@ -382,6 +382,6 @@ LONG, STRANGE = "is longer than 1000000 characters", "is a device, a pipe or a s
         ("back.tdms", tdms(*halves(0, 0.1), **PIECES), "0.2 s before"),
     ],
 )
-def test_files_that_are_refused_as_a_whole(name, write, words, tmp_path):
+def test_unreadable_files_are_refused(name, write, words, tmp_path):
     write(tmp_path / name)
     assert words in refused(tmp_path / name, ())

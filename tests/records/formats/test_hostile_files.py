@@ -27,7 +27,7 @@ RUNS = [mark * 20_000 for mark in (" ", "_", "[", "(", "]", "\t", " _", "[ ", "]
 
 
 @pytest.mark.parametrize("run", RUNS, ids=lambda run: repr(run[:2]))
-def test_hostile_cells_take_no_time(tmp_path, run):
+def test_hostile_cells_are_read_fast(tmp_path, run):
     began = clock.process_time()
     for content in (
         f"{HEAD},x [{run}y\n" + BODY.replace("\n", ",0\n"),
@@ -43,7 +43,7 @@ def test_hostile_cells_take_no_time(tmp_path, run):
     assert clock.process_time() - began < SECONDS
 
 
-def test_many_blank_lines_before_a_comment(tmp_path):
+def test_many_blank_lines_before_a_comment_are_read_fast(tmp_path):
     began = clock.process_time()
     assert len(read(text(tmp_path, f"{HEAD}\n{BODY}" + "\n" * 200_000 + "% end\n"))) == N
     assert clock.process_time() - began < SECONDS
@@ -54,7 +54,7 @@ def test_many_blank_lines_before_a_comment(tmp_path):
 
 @pytest.mark.parametrize("column", ["time", "voltage", "displacement"])
 @pytest.mark.parametrize("value", [1e308, -1e308, 1e200, 1e31])
-def test_numbers_that_are_no_measurement(column, value):
+def test_implausible_numbers_are_refused(column, value):
     columns = {"time": T.copy(), "voltage": V.copy(), "displacement": Y.copy()}
     at = 0 if column == "time" and value < 0 else N - 1
     columns[column][at] = value
@@ -68,7 +68,7 @@ def test_numbers_that_are_no_measurement(column, value):
     record.problems(), record.cycles(), repr(record)
 
 
-def test_times_that_no_clock_tells_apart():
+def test_implausibly_short_time_steps_are_refused():
     time = T.copy()
     time[1] = 5e-324
     with pytest.raises(RecordError, match=r"steps of 4.94e-324 s"):
@@ -79,7 +79,7 @@ def test_times_that_no_clock_tells_apart():
 
 
 @pytest.mark.parametrize("count", [120, at_night(1000), pytest.param(10_000, marks=pytest.mark.fuzz)])
-def test_mutated_files(monkeypatch, count):
+def test_mutated_files_are_read_or_refused(monkeypatch, count):
     monkeypatch.syspath_prepend(places.FUZZ)
     import files
 
