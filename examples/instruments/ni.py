@@ -1,7 +1,6 @@
 """A data acquisition card of National Instruments as a rig.
 
-Tested with a fake of the card's library, not on hardware: check the output with an oscilloscope, without an actuator
-connected. Then edit the constants, and::
+Tested only with a fake library. Check the output by an oscilloscope without an actuator, edit the constants, then::
 
     dehyst calibrate examples/instruments/ni.py:NiRig --limits 0 100
 """

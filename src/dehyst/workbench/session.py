@@ -310,7 +310,7 @@ class WorkbenchSession:
 
         def done(finished: Finished) -> None:
             if period is None and "period" in finished.error.get("change", ()):
-                raise SessionError(f"{model.name}: depends on time; give Samples a second (Hz)")
+                raise SessionError(f"{model.name}: depends on time; fill in Samples a second (Hz)")
 
         return self.jobs.start("export", model.id, [words_of("export", model.file, target, period=period)], done)
 
