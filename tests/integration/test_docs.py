@@ -146,8 +146,8 @@ def code_of(page, capsys):
 
 def test_a_model_from_fringes_keeps_its_promise(capsys):
     space, last = code_of("tutorials/no_sensor.md", capsys)
-    assert last == "True"
-    assert not space["record"].measured.all() and space["fit"].good
+    assert last == "True" and not space["record"].measured.all() and space["fit"].good
+    assert space["dehyst"].check(space["fit"].actuator, space["record"]).kept
 
 
 def test_a_scan_learns_to_a_tenth_of_its_error(capsys):

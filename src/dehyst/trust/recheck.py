@@ -44,7 +44,7 @@ from dehyst.records import NOISE_PEAK, Record, beyond_noise, largest, percent, r
 from dehyst.trust.changes import LEARNT, SLOW, Change, Known, find_changes
 
 # Parts of the gain and of the stroke [%] beyond which a record is not of the model's actuator, or in other units.
-ANOTHER = 50.0
+_ANOTHER = 50.0
 # Paths of unchanged stages miss the promise by more than this factor in 1.2 % (`benchmarks/promise.py`).
 _BY_CHANCE = 2.0
 # Changes that the error sets aside.
@@ -158,17 +158,17 @@ class Recheck(Plotted):
         """A sentence on why the record clearly belongs to another actuator; empty if it may belong to the model's."""
         gain = next((change.value for change in self.changed if change.name == "gain"), 0.0)
         reasons = []
-        if 100 * abs(gain) > ANOTHER:
-            reasons.append(f"the gain differs by {lines.percent(abs(gain), 1.0, goal=ANOTHER)}")
-        if percent(self.without_noise, self.stroke) > ANOTHER:
+        if 100 * abs(gain) > _ANOTHER:
+            reasons.append(f"the gain differs by {lines.percent(abs(gain), 1.0, goal=_ANOTHER)}")
+        if percent(self.without_noise, self.stroke) > _ANOTHER:
             reasons.append(
-                f"the largest error is {lines.percent(self.without_noise, self.stroke, goal=ANOTHER)} of the stroke"
+                f"the largest error is {lines.percent(self.without_noise, self.stroke, goal=_ANOTHER)} of the stroke"
             )
         if not (found := " and ".join(reasons)):
             return ""
         return (
             f"{self.record}: is plainly not a record of the model's actuator, or in other units: {found}, "
-            f"more than {ANOTHER:g} %; check that model and record belong together, and the scales"
+            f"more than {_ANOTHER:g} %; check that model and record belong together, and the scales"
         )
 
     @property
