@@ -15,7 +15,7 @@ from dehyst.control.compensator import Compensator
 from dehyst.control.limits import SensorFault, sensor_bound, warn_of_sensor
 from dehyst.model import Actuator, State, mechanical_response
 
-# Share of the error that a cycle takes away.
+# Part of the error that one cycle corrects.
 _GAIN = 0.6
 # The displacement follows a harmonic of the path if it misses less than a share of it and of those below, down to a
 # part of it; the path has them if they hold a share of its energy.
@@ -32,9 +32,9 @@ _RESONANCE, _ABOVE_NOISE = 1.2, 3.0
 # An RMS error above this multiple of the least, and this share of the first one, takes the step back; it takes back the
 # whole correction if the best cycle, played again, is no better than the first.
 _WORSE, _NEAR = 1.2, 0.3
-# A change of the RMS error counts above this share of it and these standard errors of the noise.
+# A change of the RMS error is significant above this part of it and this number of standard errors of the noise.
 _CHANGE, _ERRORS = 0.02, 3.0
-# Share of a cycle in which a new correction comes.
+# Part of a cycle over which a new correction is blended in.
 _BLEND = 0.125
 
 

@@ -26,11 +26,11 @@ AxisSlewRates: TypeAlias = Sequence[float | None] | float | None
 _SHORTEST_SWEEP = 0.1
 # Least range [V], and longest ramp through it [s].
 _LEAST_RANGE, _LONGEST_RAMP = 1e-3, 3600.0
-# Batches by which the likeliest place in a wave is known.
+# Number of recent batches that determine the present place in a wave.
 _RECENT = 5
-# Seconds by which the place in a wave may be wrong, at least.
+# Least uncertainty [s] of the place in a wave.
 _LEAST_DELAY = 0.05
-# A voltage is reached if the reading is within this share of the range; most times that a retreat sends its end.
+# A voltage is reached if the reading is within this part of the range; a retreat sends its end this often at most.
 _EXACT, _SENT = 1e-5, 2
 # Seconds between two steps of a ramp; a host keeps no better time.
 TICK = 0.01
@@ -39,7 +39,7 @@ _GENTLE = 1.0
 # A ramp through a slow link has fewer and larger steps, so that answers take this time [s] at most; but at least this
 # number. A retreat sends at most this number of steps again that were not taken.
 _ANSWERS, _FEWEST, _AGAIN = 0.7, 2, 3
-# Ticks in which a stage settles after a ramp: no record begins with its lag.
+# Number of ticks for which a stage settles after a ramp, so that its lag is not in the record.
 _SETTLES = 10
 # Readings, a tick apart, in which the readback must come near what was sent; where they take longer, seconds, and the
 # fewest of them.

@@ -27,23 +27,23 @@ StepFunction: TypeAlias = Callable[[float | None], float]
 
 # Highest rate [Hz] that a host keeps with one round trip a sample.
 HIGHEST_RATE = 200.0
-# The sensor watch refers to this share of the range at least: over a smaller excursion a reading may be constant.
+# The watch of the sensor needs a motion over this part of the range: over a smaller one a reading may be constant.
 _LEAST_WATCHED = 0.25
-# Time [s] that a wave may take without a sample, beside twice its own.
+# Time [s] without a sample after which a wave has failed, in addition to twice its duration.
 _PATIENCE = 5.0
 # Seconds between two batches of samples that the host times.
 _BATCH_SECONDS = 0.2
-# A voltage that is late by less than this share of a period makes the next ones no later.
+# A voltage that is late by less than this part of a period does not delay the next ones.
 _CAUGHT_UP = 0.5
 # A voltage that is read back may differ from the sent one by this share of the range.
 READBACK_TOLERANCE = 0.05
-# Farthest that a piezo stage is from the zero of its sensor [m].
+# Largest displacement of a piezo stage from the zero of its sensor [m].
 _FARTHEST = 0.1
-# A wave may take this share of the time that was asked, less these samples: clocks differ, and the first may be late.
+# A wave takes at least this part of its duration, minus this number of samples: clocks differ, and it may begin late.
 _PACE, _LATE = 0.9, 20
-# A device's clock is wrong if it is ahead by this time [s] of what was asked, and of this multiple of what has passed.
+# A clock of a device is wrong if it is ahead of the request by this time [s] and of the host's time by this factor.
 _JUMP, _FAST = 10.0, 1.1
-# A reading that is constant to the last digit while the voltage crosses this share of its range is not a piezo's.
+# A sensor is dead if its reading stays constant to the last digit while the voltage crosses this part of its range.
 _DEAD = 0.2
 
 

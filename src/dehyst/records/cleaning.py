@@ -28,41 +28,41 @@ if TYPE_CHECKING:
 
     from dehyst.records.record import Record
 
-# Most samples of a step or excursion, neighbours on each side that show the signal's steps, and least size: share of
-# the range, and multiple of the noise's deviation.
+# Most samples of an excursion, and of neighbours that show the usual steps; least size of an excursion, as a part of
+# the range, and in standard deviations of the noise.
 _NEAR, _LEAST, _SIGMAS = 8, 0.02, 8.0
-# Most samples of a step, how often it exceeds the steps nearby, and least part of it in a sample.
+# A step: largest number of samples, least ratio to the steps nearby, and least part of it in one sample.
 _WIDEST_STEP, _TIMES, _PART = 8, 8.0, 0.05
 # Least motion against the voltage, as parts of the displacement's step and range.
 _SWING, _VISIBLE = 0.02, 0.002
-# Times the mean gain by which a displacement may follow the voltage away from a turn.
+# Largest gain of a displacement away from a turn, as a multiple of the mean gain.
 _STEEP = 3.0
-# Samples after a step in which it must turn back, and samples that are searched at a time.
+# Samples after a step within which the displacement must turn back; samples that are searched at a time.
 _SOON, _AHEAD = 400, 4096
-# Latest next turn of a ring, in usual half periods, which the first ones may exceed.
+# Latest next turn of a ring, in its usual half periods; the first half periods may be longer.
 _LATE = 2.5
-# A ring counts until it is below this share of the range, or the noise; at most this multiple of its visible part.
+# A ring ends below this part of the range, or below the noise; at most, it lasts this multiple of its visible part.
 _FADED, _LONGEST_RING = 5e-4, 3.0
-# Half-lives until an overshoot that does not swing is over; displacements from which the levels beside it are taken.
+# An overshoot without swings ends after this number of half-lives; number of displacements for the levels beside it.
 _HALVES, _LEVEL = 8, 8
-# Fewest samples of a record that shows excursions, most samples of a glitch and of a spike, least size of a spike, and
-# largest part of a record that spikes are.
+# Least number of samples of a record that shows excursions; largest numbers of samples of a glitch and of a spike;
+# least size of a spike; largest part of a record that can be spikes.
 _SHORTEST, _WIDEST, _WIDEST_SPIKE, _LEAST_SPIKE, _MOST_SPIKES = 20, 5, 3, 0.005, 0.05
-# Least size of an excursion in steps of resolution, usual excursions and steps nearby; at an end, where it cannot come
-# back, in the largest steps.
+# Least size of an excursion as a multiple of: a step of the resolution, the usual excursion, the steps nearby; at an
+# end of the record, the largest step.
 _DIGITS, _USUAL, _STEPS, _STEPS_AT_END = 1.5, 1.5, 1.5, 3.0
 # Least share of its mean gain with which the displacement follows: a small excursion moves an actuator by half of the
 # mean slope, and half of that can fall between two samples. Multiple of the noise deviation below which it is hidden,
 # and gain next to a turn, and at an end, over the mean gain.
 _FOLLOWS, _SEEN, _STEEPER, _STEEP_AT_END = 0.2, 2.0, 2.0, 5.0
-# Largest lag of the displacement: share of a cycle, and its bounds in samples.
+# Largest lag of the displacement, as a part of a cycle, and the bounds of this lag in samples.
 _LAG, _LAGS = 0.05, (8, 64)
-# Longer excursions, such as a channel that drops out: most samples, share of a cycle, least share of the range.
+# Longer excursions, such as a channel that drops out: most samples, largest part of a cycle, least part of the range.
 _LONGEST, _LONGEST_PART, _LEAST_LONG = 200, 0.25, 0.2
 # Fewest new samples a cycle. Jumps of a zero: samples on each side from whose cubic it stands out, how often it exceeds
 # what noise explains and what that cubic leaves, and most jumps in a record: many are none of a zero.
 FEWEST_NEW, _BESIDE, _DISTINCT, _CLEAR, _MOST_JUMPS = 12, 12, 3.3, 4.0, 3
-# Passes in which excursions behind others are found, and candidates processed at a time.
+# Number of passes (later passes find excursions hidden by others), and of candidates processed at a time.
 _PASSES, _BLOCK = 20, 1 << 14
 
 Indices = NDArray[np.intp]

@@ -18,13 +18,13 @@ from dehyst.records.signals import noise_span, resolution, runs, turning_points
 if TYPE_CHECKING:
     from dehyst.records.record import Record
 
-# Fewest events of a record, and of the longest branch of a periodic signal; samples kept for each event, and at most.
+# Least number of events of a record, and of its longest branch; samples that are kept for each event, and in all.
 _FEWEST, _EACH, _MOST = 4, 100, 10_000
-# A crossing leads from below minus this share of the amplitude to above it; an extreme lies in samples above another.
+# A crossing goes from minus to plus this part of the amplitude; an extreme lies among samples above the second part.
 _BAND, _TOP = 0.35, 0.6
-# Least share of a signal's range by which it goes back from an extreme; extremes over which the levels are taken.
+# Least part of its range by which a signal returns from an extreme; number of extremes for the levels.
 _SWING, _LEVELS = 0.3, 5
-# Turns of the voltage below this share of its range, or of the usual way between crossings, matter to no count.
+# Turns of the voltage below this part of its range, or of the way between crossings, do not change a count.
 _LEAST_TURN, _SMALL_TURN = 1e-3, 0.2
 # A late displacement may turn between two crossings after a turn that are nearer than this share of the usual way; a
 # signal within this amplitude between two crossings has no extreme there; a voltage is held from this share of samples.
@@ -36,9 +36,9 @@ _STEP, _STAYS, _LONGEST = 0.5, 0.6, 3.5
 _LONG, _FIRST, _SHORT = {"fringe": 2.2, "grating": 1.8}, 2.2, 0.35
 # By how many usual ways the way back from a turn may be shorter than the way there, and longer than three of it.
 _NEARER, _FARTHER = 0.75, 1.0
-# Factor of the sample rate that is advised; amplitudes that no sample exceeds.
+# Margin of the recommended sample rate; largest sample, in amplitudes.
 _SPARE, _BEYOND = 1.1, 1.5
-# Share of the voltage's range within which two cycles are alike, and half periods by which they may differ.
+# Two cycles are similar within this part of the voltage's range; largest difference of their counts, in half periods.
 _ALIKE, _JUMP = 0.01, 1.6
 
 

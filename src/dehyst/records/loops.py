@@ -17,20 +17,20 @@ from dehyst.records.signals import noise_span, turning_points, turns_of, white_n
 if TYPE_CHECKING:
     from dehyst.records.record import Record, Span
 
-# Points at which branches are compared, and voltages that are equal, as a part of the range.
+# Number of points at which branches are compared; difference of equal voltages, as a part of the range.
 _POINTS, _EQUAL = 32, 0.02
-# A loop's area against its sense: part of its box, and standard deviations of the noise's.
+# Least area of a loop in the wrong direction: as a part of its bounding box, and in standard deviations of the noise.
 _AREA, _DEVIATIONS = 0.005, 5.0
-# A jump between sorted branches: part of the range, usual steps, and share of the other steps that go the other way.
+# A jump between sorted branches: least part of the range, least usual steps, least part of other steps that go back.
 _JUMP, _STEPS, _OTHERS = 0.3, 10.0, 0.95
-# Two branches are alike if they differ by at most this part of the difference of others.
+# Two branches are similar if they differ by at most this part of the difference of other branches.
 _ALIKE = 0.4
-# Most samples of a shift; least gain by it, as a part; least fall of the gain beyond it, over its rise.
+# A shift in time: most samples, least improvement, least fall of the improvement beyond it, relative to its rise.
 _LATE, _GAINED, _SHARP = 64, 5e-4, 0.7
-# Strokes [m] below any sensor's resolution, the size of an atomic nucleus.
+# A stroke [m] below the resolution of any sensor: the size of an atomic nucleus.
 LEAST_STROKE = 1e-15
-# Fringes: least number in a stroke, their least size, part of the range; part of a branch in which they count,
-# kurtosis below which they are no noise, and correlation of a displacement that follows the voltage.
+# Fringes: least number in a stroke; least size, as a part of the range; part of a branch in which they are counted;
+# kurtosis of noise; correlation of a displacement that follows the voltage.
 _FRINGES, _FRINGE, _INSIDE, _KURTOSIS, _FOLLOWS = 2.2, 0.3, 0.9, 1.65, 0.5
 # Without hysteresis, parts of the stroke and of the lag's loop that are left; part of a branch that still turns.
 _STRAIGHT, _ROUND, _TURNS, _VARIES = 5e-4, 0.04, 0.3, 0.2
@@ -38,12 +38,12 @@ _STRAIGHT, _ROUND, _TURNS, _VARIES = 5e-4, 0.04, 0.3, 0.2
 _PLATEAU, _SLOPE, _FLAT, _CREEPS = 0.04, 0.3, 5e-4, 0.03
 # Slipping: least drift, part of the stroke, and how much better travel explains it than time.
 _SLIPS, _BETTER, _RETURNS = 0.01, 3.0, 4
-# Least share of the voltage range that a branch of a butterfly covers, and bins of the voltage.
+# Least part of the voltage range that a branch of a butterfly loop covers; number of bins of the voltage.
 _WHOLE, _BINS = 0.9, 32
-# Least fall or rise that counts: share of the stroke, and multiple of the noise of a bin's mean.
+# Least fall or rise of a butterfly: as a part of the stroke, and as a multiple of the noise of a bin's mean.
 _LEAST, _LOUD = 0.1, 8.0
-# Echo: rounding, that to six digits, and largest digit that may hide a sensor, parts of the stroke; how far values are
-# from multiples of a digit; samples that are looked at first.
+# An echo of the command: errors of rounding, also to six digits, and largest digit that may hide a sensor, in strokes;
+# largest distance from multiples of a digit; number of samples tested first.
 _ROUNDING, _SIX_DIGITS, _DIGIT, _ON_GRID, _STRETCH = 1e-6, 5e-6, 5e-3, 0.1, 4096
 
 

@@ -17,17 +17,17 @@ from dehyst.records.signals import gaps, new_samples, noise_span, resolution, ru
 if TYPE_CHECKING:
     from dehyst.records.record import Record
 
-# Larger numbers [V, m, s] are no measurement, and computations with them overflow; nor are shorter steps [s].
+# Larger numbers [V, m, s] and shorter time steps [s] are not from a measurement, and computations with them overflow.
 LARGEST, SHORTEST = 1e30, 1e-30
 # Fewest events from which a loop is identified.
 _LEAST_EVENTS = 60
 # Least and largest displacement for each volt [m/V] of stages, also by the input of an amplifier.
 _GAINS = (2e-9, 5e-5)
-# Slowest cycle [s] of a record that is not asked about: milliseconds in place of seconds are slower.
+# A longer cycle [s] gives a question about the unit: the times may be milliseconds.
 _SLOWEST = 1000.0
-# Fewer samples show no spike; least samples of a sweep.
+# Least number of samples that shows a spike; least number of samples of a sweep.
 _FEWEST, _SWEEP = 20, 3
-# A time starts again within this part of its way so far.
+# A time starts again if it returns this near to its first value, as a part of its range.
 _AGAIN = 0.1
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 # Largest value of white noise, in standard deviations.
 NOISE_PEAK = 4.0
-# Widths of running means. By how much noise raises a largest error: steps in its deviation, how many, probability.
+# Widths of running means. Rise of a largest error by noise: steps per deviation, number of steps, probability.
 _WIDTHS, _FINE, _LEVELS, _LIKELY = (1, 4, 16, 64, 256), 8, 64, 0.9
 # A sine of 50 points a cycle leaves 7e-8 of its stroke in differences of order 6, and 3e-3 in those of order 2.
 _ORDER = 6
@@ -28,7 +28,7 @@ QUARTILE = 0.6744897501960817
 # The noise on the grid of time: needed if steps vary by this part, or the voltage turns in this many samples; least
 # windows, and the factor by which it must be smaller.
 _EVEN, _FEW, _WINDOWS, _SMALLER = 0.01, 25, 16, 1.5
-# Share of the samples that may be new, and digits by which the displacement must have moved, in a repeated one.
+# A repeated signal: largest part of new samples, and least motion of the displacement, in digits.
 _NEW, _DIGITS = 0.75, 3.0
 
 
@@ -221,9 +221,9 @@ def bandwidth(signal: Array, sample_time: float, share: float) -> float:
 # A speed is the mean over a window of at least this many intervals, in which the voltage changes by at least this many
 # standard deviations of its noise, and steps of its converter.
 _INTERVALS, _DEVIATIONS, _CODES = 4, 50.0, 20.0
-# Largest share of that change in one interval: what changes at once is a step or a glitch, whose speed is not known.
+# Largest part of this change in one interval: a larger one is a step or a glitch, whose speed is not known.
 _AT_ONCE = 0.4
-# Share of all travel that does not exceed the speed of the records, and a margin for what windows average away.
+# Part of all travel that is not faster than the recorded speed; margin for the averaging in windows.
 _TRAVEL, _MARGIN = 0.95, 1.05
 # A longer record is read in longer intervals.
 _MOST = 1 << 18

@@ -33,20 +33,20 @@ from dehyst.records import percent, turning_points
 # Changes explain it if the others are not significant at this probability, and they leave at most this multiple of the
 # least that any leave.
 _SIGMAS, _TOGETHER, _INSIGNIFICANT, _MORE = 3.0, 2.0, 0.0027, 1.2
-# Knots of the mean line; blocks of samples; steps of the search for a delay, of which the regression knows one order.
+# Numbers of knots of the mean line, of blocks of samples, and of steps of the search for a delay.
 _KNOTS, _BLOCKS, _STEPS = 24, 400, 4
 # Over which part of the voltages, and of h, the error of a model is alike. The part of a change that does not look like
 # its column, but all on the rise from a fitted start; slow changes that a record cannot show, of the stroke a decade.
 _ALIKE, _ALIKE_IN_LOOP, _UNLIKE, _UNSEEN = 0.3, 1.0, 0.2, 0.007
 # A loop narrower than this part of its height has no width that could change.
 _NARROW = 1e-3
-# Columns that depend on one another to this part count as dependent; a delay is found to this part of the stroke.
+# Columns with a smaller independent part count as dependent; tolerance of a delay, as a part of the stroke.
 _DEPENDENT, _SMALL = 1e-6, 1e-5
-# Part of a cycle from which on the time of creep is counted.
+# Creep is counted from this part of a cycle on.
 _EARLY = 0.1
-# Names of the slow changes, of which a record shows one, and of the changes that an update learns.
+# Names of the slow changes (a record shows only one of them), and of the changes that an update learns.
 SLOW, LEARNT = ("creep", "drift"), ("gain", "width", "shape")
-# Factor and unit in which each is shown.
+# Factor and unit of each change in messages.
 _AND = " and "
 _SHOWN = {"gain": (100.0, "%"), "width": (100.0, "%"), "lag": (1e3, "ms")}
 

@@ -43,11 +43,11 @@ from dehyst.model import (
 from dehyst.records import NOISE_PEAK, Record, beyond_noise, largest, percent, rms, turning_points
 from dehyst.trust.changes import LEARNT, SLOW, Change, Known, find_changes
 
-# Parts of the gain and of the stroke [%] beyond which a record is not of the model's actuator, or in other units.
+# With a larger change of gain, or error in % of the stroke, a record is of another actuator, or in other units.
 _ANOTHER = 50.0
 # Paths of unchanged stages miss the promise by more than this factor in 1.2 % (`benchmarks/promise.py`).
 _BY_CHANCE = 2.0
-# Changes that the error sets aside.
+# Changes that are subtracted from the error.
 _SET_ASIDE = ("zero", *SLOW)
 
 
@@ -271,7 +271,7 @@ _GOAL = 1.0
 _PART = 0.25
 # Turning points of a record that separates all changes, and how far one goes back, as a part of the range.
 _MANY, _TURN = 20, 0.02
-# A coupling has changed if it differs by more than this, and by more than this multiple of its standard error.
+# A coupling has changed if its difference exceeds this value and this multiple of its standard error.
 _COUPLED, _ERRORS = 0.005, 3.0
 # A record of less than this part of the model's voltages says nothing of the longest elements. A fitted start is that
 # after slow loops if the ways to the first turn differ by less than this part of the promise; samples of its error.

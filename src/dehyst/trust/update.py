@@ -39,19 +39,19 @@ from dehyst.model import (
 from dehyst.records import Record, beyond_noise, largest, percent, rms
 from dehyst.trust.recheck import Recheck, check
 
-# How much alike the changes of neighbours are held, by a record of a few loops and by one that turns in many places:
-# held-out parts of loops that come again say nothing of it. Rows of the program.
+# Weights that keep changes of neighbours similar: for a record of a few loops, whose held-out parts cannot determine
+# it, and for one with many turning points. Number of rows of the program.
 _ALIKE, _ALIKE_BY_MANY, _ROWS = 0.1, 0.02, 6000
 # Largest change of all thresholds, as a power of e, and how closely it is found; what a change of all stiffnesses by 1
 # beside it must explain, in errors of the model.
 _STRETCH, _STRETCHED, _BESIDE = 0.8, 0.02, 3.0
-# A sensor whose zero has moved by less than this part of the stroke is taken to have kept it.
+# A zero of the sensor that has moved by less than this part of the stroke counts as unchanged.
 _KEPT = 0.15
-# Common changes that depend on one another to this part count as dependent.
+# Common changes with a smaller independent part count as dependent.
 _DEPENDENT = 1e-8
 # The updated model must predict held-out samples better than the old one by this part.
 _BETTER = 0.95
-# A part of the voltages that is not visited counts from here on; an element moves if twice its breakaway is reached.
+# Least part of the voltages that is reported as not visited; an element moves if twice its breakaway is reached.
 _NOT_VISITED = 0.02
 
 

@@ -34,21 +34,21 @@ from dehyst.waveforms import Branch, Excitation, Sampling
 
 # Least duration of a branch of a homing [s].
 FASTEST_BRANCH = 0.5
-# Share of the range of the spring's knots: the error of a good model; creep takes long to leave less.
+# The error of a good model, as a part of the range of the spring's knots; to leave less, creep would take long.
 _TOLERANCE = 1e-3
-# Duration of a branch: this share of the longest time constant, and at least this many periods of a resonance.
+# Duration of a branch: as a part of the longest time constant; at least this number of periods of a resonance.
 _BRANCH, _PERIODS = 0.05, 50.0
 # A mass and a lag are at rest after this many of their time constants.
 _RESTS = 12.0
-# Samples of a branch in rough simulations; fewest samples that a `Sampling` takes for a cycle.
+# Number of samples of a branch in rough simulations; least number of samples of a cycle of a `Sampling`.
 _SAMPLES, _LEAST_CYCLE = 60, 8
-# Longest hold that is tried, in longest time constants; a rough simulation is that good, and the hold found to a share.
+# Longest hold, in longest time constants; relative accuracy of a rough simulation; relative tolerance of the hold.
 _PATIENCE, _ROUGHLY, _NEARLY = 30.0, 0.95, 0.03
 # The time [s] that a homing may take.
 HOME_WITHIN = Numbers(positive=True, optional=True)
-# By how much branches get faster, at least in a step and at most in all, until a homing is short enough.
+# Factors by which branches become faster until a homing is short enough: least factor of a step, largest in all.
 _FASTER, _FASTEST = 1.1, 1e6
-# Random histories, and turns in each.
+# Number of random histories, and of turns in each.
 _HISTORIES, _TURNS = 12, 8
 
 

@@ -24,11 +24,11 @@ from dehyst.control.planning.ways import MOST_ROWS
 from dehyst.model import Actuator, State
 from dehyst.waveforms import ScanPath, positive
 
-# A drift that falls to no less than this share with more cycles does not settle; share of what may be left of creep.
+# A drift that more cycles do not reduce to this part does not settle; allowed part of the creep that may be left.
 _FALLS, _SAFE = 0.9, 0.95
-# Share of the stroke: by how much a cycle that is repeated may drift.
+# Largest drift of a repeated cycle, as a part of the stroke.
 _TOLERANCE = 1e-4
-# Numbers of cycles that are tried.
+# How many numbers of cycles are tried.
 _COUNTS = 400
 
 

@@ -19,16 +19,16 @@ from dehyst.control.planning.start import PossibleStart, model_error
 from dehyst.model import Actuator, State, major_loop, slew_rate_of_records, state_at, voltages_of
 from dehyst.waveforms import Branch, Sampling, volts
 
-# Fewest samples of a branch at the path's sample rate, and samples of a branch where a path has no time.
+# Least number of samples of a branch at the path's sample rate; number of samples of a branch if a path has no time.
 _FEWEST, _TIMELESS = 25, 100
 # Share of the range of the spring's knots: a homing in time must leave no more, if the model is better than that; and
 # where there is no promise, a path that is missed by more is not followed.
 TOLERANCE = 1e-3
-# Creep on the way to the first sample changes the voltage there: so often the way is found again.
+# Creep on the way to the first sample changes its voltage: therefore the way is computed this number of times.
 _ROUNDS = 3
 # Relative difference of times that is rounding.
 _ROUNDING = 1e-9
-# A homing of more samples has longer steps: this many a branch, and a period of a resonance.
+# A homing with more samples has longer steps: numbers of samples of a branch, and of a period of a resonance.
 _EVEN_SAMPLES, _BRANCH_SAMPLES, _RESONANCE_SAMPLES = 100_000, 200, 10
 # A larger file is more than 300 MB.
 MOST_ROWS = 5_000_000
