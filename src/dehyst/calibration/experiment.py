@@ -25,7 +25,7 @@ from dehyst.records import Record, guesses
 from dehyst.trust import Insight, Recheck, check, insight
 from dehyst.waveforms import Excitation
 
-# The model, next to the folder of records: of one axis, and of several.
+# Names of the model's file beside the folder of records: for one axis, and for several.
 RESULT, STAGE_RESULT = "model.json", "stage.json"
 # A change of the temperature [K], and changes in the check of the last record, that are remarked.
 _WARMS, _DRIFTS = 0.5, {"gain", "zero", "drift"}
@@ -119,7 +119,7 @@ def calibrate(
         it, or it cannot be written.
     """
     listener, plan = watcher or ProgressListener(), plan or Plan()
-    # All that is known before is checked before anything is sent.
+    # Check everything that can be checked before anything is sent.
     steps(rig, plan)
     whole = plan.excitations(rig).recommended()
     with Session(folder, rig, listener) as session:
@@ -153,7 +153,7 @@ def _calibrated(
     before = play(linear)
     modelled = planner.compensated(fit.model, session.sequence)
     if "nominal" in session.kept and session.stored("compensated", modelled.excitation) is None:
-        # Only a record just before shows what crept meanwhile.
+        # With creep, only a record just before the path gives its start.
         session.sequence.pop()
         before = play(linear, again=True)
         modelled = planner.compensated(fit.model, session.sequence)

@@ -19,7 +19,7 @@ from dehyst.model import Actuator, Stage, stroke_of
 from dehyst.records import beyond_noise
 from dehyst.waveforms import Excitation
 
-# Learning ends when none of the last repetitions lowered the RMS error by this share.
+# Learning ends when none of the last repetitions lowered the RMS error by this part.
 _LAST, _LOWER = 3, 0.03
 
 
@@ -105,7 +105,7 @@ class FollowedPath:
         `feedback`: correct each sample of a single axis by the reading before. Raise `RigError` if the rig fails; the
         voltage is then brought to the safe one, as at the end.
         """
-        # Read before anything moves: a rig without a measurement is refused here.
+        # Read before anything moves: a rig without a sensor is refused here.
         present = [axis.limits.nearest(axis.read().voltage) for axis in self.rig.rigs]
         wanted = np.tile(self.wanted, (repeat, 1))
         plan = self._plan(wanted, present)

@@ -91,7 +91,7 @@ class PathPlanner:
         given: dict[str, Any] = {
             "limits": bounds if several else bounds[0],
             "slew_rate": rates if several else rates[0],
-            # The path stays where it is while the temperature drifts.
+            # The later path is the same; only the temperature drifts.
             "temperature": later_temperature(model, before[-1], self.homing.duration + time),
         }
         given |= {"start": homed.states, "present": self.homing.voltage[-1], "home": False, "on_time": True}
@@ -117,7 +117,7 @@ class PathPlanner:
         moved = apply(stage.decoupling, homed.displacement)[len(homing) // 2 :]
         bottom, top = moved.min(axis=0), moved.max(axis=0)
         stroke = top - bottom
-        # So large that whatever the other axes do no actuator leaves its range.
+        # So large that no actuator leaves its range for any motion of the other axes.
         share = _USED * float((stroke / (np.abs(stage.decoupling) @ stroke)).min())
         middle = apply(stage.coupling, (0.5 * (bottom + top))[None])[0] + zero
         low = apply(stage.coupling, bottom[None])[0] + zero

@@ -32,7 +32,7 @@ class Commands(click.Group):
         self.journey: dict[str, dict[str, str]] = {
             heading: {name: words for name, (_, words) in entries.items()} for heading, entries in JOURNEY.items()
         }
-        # The command of this room, beside the operations.
+        # The only command of this room; the others are operations.
         self.journey["Try it"]["workbench"] = "All steps in a browser, with your records"
         # Click suggests one of these names in the place of one that is mistyped.
         self.commands = dict.fromkeys(name for entries in self.journey.values() for name in entries)  # type: ignore[assignment]

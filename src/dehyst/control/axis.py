@@ -318,7 +318,7 @@ def preview_filter(actuator: Actuator, period: float) -> tuple[Array, int]:
     whole = math.floor(delay)
     if dynamics is None and delay == whole:
         return np.ones(1), whole
-    # Symmetric about the delay: the error of a derivative is then one order smaller.
+    # Samples symmetric about the delay make the error of a derivative one order smaller.
     near = (1 if dynamics is None else 2) + (delay != whole)
     offsets = np.arange(whole + (delay != whole) - near, whole + near + 1, dtype=np.float64)
     # Weights of the samples in value and derivatives, at the delay, of the polynomial through them: a column an order.

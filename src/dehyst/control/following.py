@@ -97,7 +97,7 @@ def _follow(
     voltage, reached = np.empty_like(wanted), np.empty_like(wanted)
     clamped = np.zeros(wanted.size, dtype=bool)
     i, chunk = 0, _CHUNK
-    # A state as what was sent leads to it, and the sample after it.
+    # A state that the sent voltages give, and the sample after it.
     real, after = state, 0
     while i < wanted.size:
         stop = min(i + chunk, wanted.size)
@@ -110,7 +110,7 @@ def _follow(
         chunk, rings = (_CHUNK, moves) if changed.size else (2 * chunk, rings)
         begin, i = i, min(end + 1, stop)
         if rings:
-            # A mass that was clamped is not where it was wanted, and moves the elements with it.
+            # A clamped mass is not at the wanted displacement, and moves the elements.
             state = real = path.simulate(voltage, after, i, real)[1]
             after = i
         elif not changed.size:

@@ -20,11 +20,11 @@ from dehyst.model import Actuator, Range, major_loop, voltage_error
 
 # The hint in errors about a missing time of the samples.
 TIME_NEEDED = "give the time [s] of each sample, or the period [s] between them"
-# Share of the reach: a path in another unit than metres that is smaller is likely one in metres.
+# A path in another unit than metres and below this part of the reach is probably in metres.
 _TINY = 1e-6
-# Parts of the range of the recorded voltages: voltages farther beyond were not tested; noise is no voltage beyond.
+# Parts of the range of the recorded voltages: voltages farther outside are not tested; noise is not outside.
 _FAR, _NOISE = 0.1, 1e-3
-# Shares of the reach: what a sensor may correct, by default and at most.
+# Bounds of the correction by a sensor, as parts of the reach: default and largest.
 _BOUND, _WIDEST = 0.05, 0.25
 
 

@@ -242,7 +242,7 @@ class AbstractRig(ABC):
         """Retreat after any error within, Ctrl-C too, and add a note on the voltage to the error."""
         with Shield() as shield:
             try:
-                # Twice: a signal may come between an error and the line that defers signals.
+                # This is done twice: a signal may come between an error and the line that defers signals.
                 try:
                     yield
                 except BaseException:
@@ -284,7 +284,7 @@ class AbstractRig(ABC):
                     errors.append(error)
                     continue
                 except BaseException as error:
-                    # After a mistake in its code, a ramp is still best.
+                    # A ramp is the best action even after a mistake in the driver's code.
                     what = f"{rig.name}: _halt of the rig raised {type(error).__name__}: {error}; a wave may go on"
                     errors.append(DeviceError(what))
                 ramps.append(rig._output.retreat(rig.safe))

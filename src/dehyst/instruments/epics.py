@@ -121,7 +121,7 @@ class ChannelAccess:
                 continue
             if answer.errorcode not in _SILENT:
                 raise DeviceError(f"{pv}: {str(answer).removeprefix(pv + ': ')}; may this client write it?")
-            # After a lost answer, none is waited for as long again: a retreat must not take minutes.
+            # After a lost answer the next waits are shorter: a retreat must not take minutes.
             waited, self.timeout = self.timeout, min(_LOST, self.timeout)
             raise LinkError(f"{pv}: no answer within {waited:g} s; {HINT}")
         return answers

@@ -53,7 +53,7 @@ class TcpLink:
 
         Raise `LinkError` if that fails.
         """
-        # After a lost answer, none is waited for as long again: a retreat must not take minutes.
+        # After a lost answer the next waits are shorter: a retreat must not take minutes.
         self._timeout = min(_LOST, self._timeout)
         seconds, self._search = min(self._search, self._timeout), max(_LEAST, self._search / 2)
         if self._socket is not None and not self._half_sent:
@@ -89,7 +89,7 @@ class TcpLink:
         self._send(["ERR?", IDENTITY])
         deadline = time.monotonic() + seconds
         wanted = identity.encode("ascii")
-        # An answer that was cut off before has no line feed of its own.
+        # An earlier answer that was cut off has no line feed.
         while not self._line(deadline).rstrip().endswith(wanted):
             pass
         self._search = _LOST
@@ -112,7 +112,7 @@ class TcpLink:
     def _send(self, lines: Sequence[str]) -> None:
         if self._socket is None:
             raise LinkError("the connection is closed")
-        # One write: a second one would wait for the first's acknowledgement.
+        # Use one write: a second write would wait for the acknowledgement of the first.
         data = "".join(f"{line}\n" for line in lines).encode("ascii")
         self._half_sent = True
         try:

@@ -87,7 +87,7 @@ class Output:
         # earliest of all samples and by each of the recent ones.
         self._pace, self._row, self._soonest = 0.0, 0, 0.0
         self._recent: deque[float] = deque(maxlen=_RECENT)
-        # Seconds that the last answer took.
+        # Duration of the last answer [s].
         self._answer = 0.0
 
     def puts(self, voltage: float) -> None:

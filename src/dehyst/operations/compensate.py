@@ -26,9 +26,9 @@ from dehyst.operations.run import Result, Run, files
 from dehyst.operations.start import START
 from dehyst.waveforms import ScanPath
 
-# Part of its range by which a period may end elsewhere than it begins.
+# Largest difference between the ends of a period, as a part of its range.
 _CLOSED = 1e-9
-# Last cycles of a table in its picture.
+# Number of the last cycles of a table in its picture.
 _SHOWN = 3
 
 

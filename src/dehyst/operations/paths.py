@@ -24,9 +24,9 @@ from dehyst.records.formats.column import listed
 from dehyst.records.record import Channel
 
 ZERO = number("Zero of the path [um of the sensor]; default: the sensor's.")
-# Part of the reachable range by which a path may lie outside without a remark.
+# A path may be outside the reachable range by this part of it without a remark.
 _ROUNDING = 1e-6
-# Share of the median by which the steps of time may differ.
+# Largest difference of the steps of time, as a part of their median.
 _UNEVEN = 1e-3
 # A path whose ends differ by more than this multiple of its largest step has a way back.
 _CLOSED = 1.5

@@ -25,7 +25,7 @@ _FACTOR = re.compile(rf"({_NUMBER}|{GAIN})\s*(?:([^\s/*]+)\s*/\s*([^\s/*]+))?")
 _PERIODIC = re.compile(rf"(fringe|grating)\s+({_NUMBER})\s*([^\W\d]*)", re.IGNORECASE)
 HOLDS = ("line", "sample")
 _COLUMNS = ("time", "voltage", "displacement", "temperature")
-# Keys of what is read of a file: of a record, of a voltage, of a path.
+# Keys of the columns of a file: of a record, of a voltage, of a path.
 RECORD = (*_COLUMNS, "rate", "hold", "join", "decimal")
 VOLTAGE = tuple(key for key in RECORD if key not in ("displacement", "hold"))
 PATH = tuple(key for key in RECORD if key not in ("voltage", "hold"))

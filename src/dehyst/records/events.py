@@ -203,7 +203,7 @@ def _crossings(time: Array, voltage: Array, z: Array, turns: NDArray[np.intp], l
         return _Crossings(when, at, branch, number[: when.size])
 
     before, there, after = (np.searchsorted(when, time[own]) for own in (begins, turns, ends))
-    # Creep leads away from where the stage was until then: on along the branch, or back.
+    # Creep moves away from earlier displacements: on along the branch, or back.
     on = (voltage[turns] - np.cumsum(voltage)[turns] / (turns + 1)) * signs[:-1] >= 0
     held = time[ends] - time[begins] > np.median(np.diff(when))
     places = np.where(held, np.where(on, after, before), there)
@@ -211,7 +211,7 @@ def _crossings(time: Array, voltage: Array, z: Array, turns: NDArray[np.intp], l
     short = np.append(raw.way < _TWICE * raw.usual, [False] * 2)
     for j, (first, last, place) in enumerate(zip(before.tolist(), after.tolist(), places.tolist(), strict=True)):
         if kind == "grating":
-            # A line beside the turn is as high as the others.
+            # A line beside the turn has the height of the others.
             places[j] = place + 1 if short[place] else place - 1 if place > 1 and short[place - 2] else place
             continue
         among = np.arange(first, last + 1 + short[last])
@@ -285,7 +285,7 @@ def _refuse_lost_counts(
             there, back = np.abs(voltage[turns[found.branch[k]]] - found.voltage[k : k + 2]).tolist()
             demand(not there > _LONG[kind] * before, a, b)
             demand(-_NEARER * usual < back - there < 2 * there + _FARTHER * usual, a, b)
-    # Cycles that are alike end at one place.
+    # Similar cycles end at the same displacement.
     levels, last = voltage[turns], np.searchsorted(found.branch, np.arange(turns.size), side="right") - 1
     place = found.number[last] + (levels - found.voltage[last]) / half
     alike = np.append([False] * 2, np.abs(levels[2:] - levels[:-2]) < _ALIKE * np.ptp(voltage))

@@ -33,7 +33,7 @@ _UNNAMED = (
 )
 # Names of the axes of a stage: with several of them in a file, "y" is not the displacement.
 _AXES = {"x", "y", "z"}
-# Columns of a file that are compared with one another.
+# Largest number of columns of a file that are compared with one another.
 _MOST = 12
 
 

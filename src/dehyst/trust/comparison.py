@@ -22,9 +22,9 @@ from dehyst.trust.baselines import Linear, TwoBranches
 # A function of training records that returns the model, or raises an error that states why there is none.
 Identification: TypeAlias = Callable[[Sequence[Record]], AbstractModel]
 OURS = "dehyst"
-# How to get the models of others.
+# The command that installs published models.
 RIVALS = "pip install dehyst-rivals (from a clone: pip install ./packages/rivals)"
-# Entry points of installed packages that are functions as `Identification`.
+# The group of entry points of installed packages whose functions are an `Identification`.
 _GROUP = "dehyst.baselines"
 # Errors of models and records and NumPy's LinAlgError are among them.
 _FAILURES = (ValueError, ArithmeticError, RuntimeError)

@@ -326,7 +326,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         begin = _judged_from(actuator, trace, errors.starts[0], promise)
     slow, cycle = origin.drift and prepared.can_drift, prepared.cycle
     error, drift = _steadied(trace) if slow else (trace.residual - trace.residual.mean(), 0.0)
-    # A constant is that of whole loops.
+    # The constant is the one of complete loops.
     judged = error[begin:] - error[-trace.settled.time.size if begin else 0 :].mean()
     # As many turns as the excitation for an identification: another record of the kind shows no more.
     many = turning_points(record.voltage, _TURN * float(np.ptp(record.voltage))).size > _MANY

@@ -18,9 +18,9 @@ from dehyst._types import Array, Mask
 from dehyst._views.lines import ends
 from dehyst.model import CELLS, branches_of, paces_of, tested_loops
 
-# Samples of a record that are looked at, and how near voltages are, as a part of the range, that are shown as one turn.
+# Largest number of used samples of a record; distance of voltages that are shown as one turn, as a part of the range.
 _ENOUGH, _BAND = 100_000, 0.01
-# Turns that are kept of all records.
+# Largest number of turns of all records that are kept.
 _MOST = 2000
 
 

@@ -35,7 +35,7 @@ from dehyst.model import (
 )
 from dehyst.records import impossible
 
-# Relative difference of times, and of voltage steps, that is rounding.
+# Relative differences of times, and of voltage steps, below this are rounding.
 _ROUNDING = 1e-9
 
 
@@ -422,7 +422,7 @@ class Task:
             if promise is not None:
                 promise = replace(promise, delay=max(promise.delay, part.late))
                 tolerated = max(tolerated, promise.largest - promise.parts.get("missed", 0.0))
-            # A path that lies beyond a limit as a whole is not followed, whatever the promise.
+            # A path that lies completely beyond a limit is not followed, for any promise.
             followed = missed <= tolerated and not (clamped & loop.bounds.reached(volts)).all()
             remarks = () if way.homing is None else way.remarks
             short = shortfall(volts, clamped, loop.bounds, missed, followed=followed)

@@ -166,7 +166,7 @@ def shortfall(voltage: Array, clamped: Mask, limits: VoltageLimits, missed: floa
     With clamped voltages it is a remark if the path is `followed`, else a failure.
     """
     if not clamped.any():
-        # Then only a mass or an amplifier can be left behind.
+        # In this case only a mass or an amplifier can lag.
         left_behind = (
             f"the path is missed by up to {missed * 1e6:.4g} um, though nothing was clamped: it does not begin at the "
             "actuator's state, or moves or turns too fast for its sample rate"

@@ -17,7 +17,7 @@ from dehyst.model import Actuator, State, knots_of, state_within_limits, stroke_
 
 StartName = Literal["top", "bottom", "relaxed"]
 NAMES: tuple[str, ...] = get_args(StartName)
-# Shares of the stroke: the error of a good model, for a model whose file does not hold its own, and the least one.
+# Errors of a good model, as parts of the stroke: for a model file without an error, and the least one.
 _MODEL_ERROR, _LEAST = 1e-3, 1e-6
 
 

@@ -26,11 +26,11 @@ _FEWEST, _TIMELESS = 25, 100
 TOLERANCE = 1e-3
 # Creep on the way to the first sample changes its voltage: therefore the way is computed this number of times.
 _ROUNDS = 3
-# Relative difference of times that is rounding.
+# Relative differences of times below this are rounding.
 _ROUNDING = 1e-9
 # A homing with more samples has longer steps: numbers of samples of a branch, and of a period of a resonance.
 _EVEN_SAMPLES, _BRANCH_SAMPLES, _RESONANCE_SAMPLES = 100_000, 200, 10
-# A larger file is more than 300 MB.
+# A file with more rows is larger than 300 MB.
 MOST_ROWS = 5_000_000
 
 

@@ -96,7 +96,7 @@ def _cell(value: Any) -> str:
 
 
 Loader = Callable[[BinaryIO, Allowance], list[Column]]
-# Bytes by which a text is recognised: the longest header of a GCS array.
+# Number of bytes for recognising a text: the longest header of a GCS array.
 _HEAD = 50_000
 
 

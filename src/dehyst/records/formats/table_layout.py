@@ -13,7 +13,7 @@ from dehyst._units import symbol_of
 from dehyst.records.formats.column import Column, shortened
 from dehyst.records.formats.notation import cells_of, is_moment, is_number
 
-# Lines that are looked at: an oscilloscope writes some 30 lines above its table.
+# Number of lines that are searched for a table: an oscilloscope writes some 30 lines above it.
 _HEAD = 400
 # The most rows of a table that belongs to the header of another one.
 _FEW = 4
@@ -113,7 +113,7 @@ def layout_of(written: list[str], decimal: str | None = None) -> Layout:
     shape = _Shape.of(rows[len(rows) // 2 :])
     place = next((i for i, row in enumerate(rows) if shape.fits(row)), len(rows))
     if place == len(rows):
-        # No line has numbers where others have them.
+        # No line has numbers in the columns in which others have them.
         return Layout(lines[0].number + 1, delimiter, tuple(rows[0]), header=(lines[0].text,))
     begin = 0
     for i in range(place + 2, min(place + _FEW + 2, len(rows))):

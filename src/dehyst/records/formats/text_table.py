@@ -42,7 +42,7 @@ def _blocks(text: TextIO, whole_lines: bool, skip: int = 0) -> Iterator[tuple[in
     text.seek(0)
     number = 0
     while block := text.readlines(_BLOCK):
-        # A block ends behind a line as long as that.
+        # A block ends after a line, which may be as long as this.
         if len(block[-1]) > _LONGEST_LINE:
             raise FileFormatError(
                 f"row {number + len(block)} is longer than {_LONGEST_LINE} characters, longer than any row of a "
@@ -61,7 +61,7 @@ def read_text(
     # Windows programs write UTF-16 as "Unicode text", instruments the micro sign in Latin-1.
     wide = stream.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     for encoding in ("utf-16" if wide else "utf-8-sig", "latin-1"):
-        # It makes a line feed of the ends of lines of all systems.
+        # It converts the line ends of all systems to line feeds.
         text = io.TextIOWrapper(stream, encoding)
         with suppress(UnicodeDecodeError):
             try:
