@@ -21,7 +21,7 @@ ROOMS = {
     "exports": 1265,
     "fleet": 310,
     "foundation": 1325,
-    "identification": 5801,
+    "identification": 5800,
     "instruments": 2434,
     "model": 3498,
     "operations": 2799,

@@ -195,7 +195,6 @@ def validity_of(
         growth=grown,
         stroke=errors[0].stroke,
         new=new,
-        step=min((records[q].meta.get("step_V", 0.0) for q in training), default=0.0),
         temperatures=temperature_range(records[q] for q in training),
         **lags,
     )

@@ -122,27 +122,25 @@ class Untested:
 
     `what`: "voltages", "turns", "speed", "rate", "drift", "hold" or "temperature". `sentence`: in words. `command`: the
     `dehyst excite` command that tests it; empty for a drift or a temperature, which need no other excitation.
+    `speed`: largest speed [V/s] of this excitation.
     """
 
     what: str
     sentence: str
     command: str = ""
+    speed: float = 0.0
+
+    def excitation(self, step: float = 0.0) -> str:
+        """Return the command; `step` [V]: the largest one between samples, 0 for any."""
+        return f"{self.command} --sample-rate {digits(_SPARE * self.speed / step)}" if step else self.command
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
         return json_values(self, "what sentence command")
 
 
-def excite_command(
-    highest: float, lowest: float, option: str = "", kind: str = "recommended", *, step: float = 0.0, speed: float = 0.0
-) -> str:
-    """Return the command that writes an excitation between two voltages [V], by default the one that tests any path.
-
-    `step` [V]: largest one between samples, 0 for any. `speed` [V/s]: the largest; default: that without options.
-    """
-    if step:
-        speed = speed or 2 * STEEPEST * _FREQUENCY * (highest - lowest) * (FASTER if kind == "recommended" else 1.0)
-        option += f"--sample-rate {digits(_SPARE * speed / step)} "
+def excite_command(highest: float, lowest: float, option: str = "", kind: str = "recommended") -> str:
+    """Return the command that writes an excitation between two voltages [V], by default the one that tests any path."""
     # The voltages are rounded inwards, as the stage may not allow more.
     step = 10.0 ** (np.floor(np.log10(highest - lowest)) - 3)
     top, base = step * np.floor(highest / step + 1e-6), step * np.ceil(lowest / step - 1e-6)
@@ -156,18 +154,18 @@ def untested_by(
     validity: Validity, voltage: Array, time: Array | None, at: NDArray[np.intp], waits: float
 ) -> Iterator[Untested]:
     """Yield the properties of a path that the records do not test."""
-    (low, high), step = validity.limits, validity.step
+    low, high = validity.limits
     over = max(low - float(voltage.min()), float(voltage.max()) - high)
     if over > _BEYOND * validity.span:
         words = f"The path goes {over:.3g} V beyond the voltages of the records."
         ends = max(high, float(voltage.max())), min(low, float(voltage.min()))
-        yield Untested("voltages", words, excite_command(*ends, step=step))
+        yield Untested("voltages", words, *_excitation(*ends))
     path, edges = voltage[at], np.linspace(low, high, CELLS + 1)
     outside = int(np.count_nonzero(~are_tested(path, *tested_loops(validity.branches, edges), edges)))
     # Records with random turning points also test the turning points between these.
     if outside and not validity.turns_anywhere:
         words = f"{outside} of {len(path)} branches begin where no record turned."
-        yield Untested("turns", words, excite_command(high, low, step=step))
+        yield Untested("turns", words, *_excitation(high, low))
     if time is None or time.size < 2:
         return
     speed, rate = paces_of(time, voltage, at).T
@@ -177,7 +175,7 @@ def untested_by(
         if fastest and (found > ALIKE * known if which == "fastest" else found * ALIKE < known):
             ratio = f"{digits(found / known)} times the {which} of the records"
             words = f"Its {which} branch takes {found:.3g} V/s on average, {ratio}."
-            yield Untested("speed", words, _paced(high, low, found, FASTER if which == "fastest" else 1.0, step))
+            yield Untested("speed", words, *_paced(high, low, found, FASTER if which == "fastest" else 1.0))
     # The excitation for a higher speed also tests the rate of branches over the whole range at this speed.
     often = ALIKE * max(validity.rates[1], speed.max(initial=0.0) / validity.span)
     if fastest and rate.max(initial=0.0) > often:
@@ -186,7 +184,7 @@ def untested_by(
         own = path[rate > often]
         half = 0.5 * max(float(np.ptp(own)), _NARROWEST * validity.span)
         middle = float(np.clip(0.5 * (own.max() + own.min()), low + half, max(high - half, low + half)))
-        yield Untested("rate", words, _paced(middle + half, middle - half, 2 * half * float(rate.max()), FASTER, step))
+        yield Untested("rate", words, *_paced(middle + half, middle - half, 2 * half * float(rate.max()), FASTER))
     moved = validity.drift * min(float(np.ptp(time)) / validity.lasts, 1.0) if validity.lasts else 0.0
     if moved > _DRIFTS * validity.shown:
         drifted = f"{percent(validity.drift, validity.stroke)} of the stroke in {validity.lasts:.3g} s"
@@ -195,24 +193,31 @@ def untested_by(
     hold = max(waits, hold_of(time, voltage, validity.span))
     if hold > ALIKE * validity.hold:
         words = f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."
-        yield Untested("hold", words, excite_command(high, low, f"--hold {digits(hold)} ", "staircase", step=step))
+        yield Untested("hold", words, *_excitation(high, low, f"--hold {digits(hold)} ", "staircase"))
 
 
 def not_recorded(validity: Validity) -> Iterator[Untested]:
     """Yield properties that paths often have and the records do not test."""
-    (low, high), step = validity.limits, validity.step
+    low, high = validity.limits
     if not validity.turns_anywhere:
         words = "The records do not turn at random: branches that begin elsewhere are tested little."
-        yield Untested("turns", words, excite_command(high, low, step=step))
+        yield Untested("turns", words, *_excitation(high, low))
     branch = validity.span / validity.speeds[1] if validity.speeds[1] else 0.0
     if branch and validity.hold < branch:
         words = f"The records hold for {validity.hold:.3g} s at most: creep at rest is tested little."
-        hold = f"--hold {max(10.0, 2 * branch):.0f} "
-        yield Untested("hold", words, excite_command(high, low, hold, "staircase", step=step))
+        yield Untested("hold", words, *_excitation(high, low, f"--hold {max(10.0, 2 * branch):.0f} ", "staircase"))
 
 
-def _paced(high: float, low: float, speed: float, faster: float, step: float) -> str:
+def _paced(high: float, low: float, speed: float, faster: float) -> tuple[str, float]:
     """Return the command of an excitation with a `speed` [V/s], `faster` times that of its slowest branches."""
     # The fastest branches have the speed of the path and not more.
     option = f"--frequency {digits(0.5 * speed / faster / (high - low))} --slew-rate {STEEPEST * speed:.3g} "
-    return excite_command(high, low, option, step=step, speed=STEEPEST * speed)
+    return _excitation(high, low, option, speed=STEEPEST * speed)
+
+
+def _excitation(
+    high: float, low: float, option: str = "", kind: str = "recommended", speed: float = 0.0
+) -> tuple[str, float]:
+    """Return the command of an excitation, and its largest speed [V/s]; default: that without an option for it."""
+    usual = 2 * STEEPEST * _FREQUENCY * (high - low) * (FASTER if kind == "recommended" else 1.0)
+    return excite_command(high, low, option, kind), speed or usual

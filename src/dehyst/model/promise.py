@@ -147,8 +147,6 @@ class Validity(Entries):
         True if the records do not show whether actuator or sensor lags.
     creep_open : float
         Creep in a decade, as a part of a step, that the records neither show nor exclude.
-    step : float
-        Largest step of the voltage in a sample [V] at which the records' signal is counted; 0: of no such signal.
     temperatures : (float, float) or None
         Lowest and highest temperature of the records [degC]; None if one of them has none.
     """
@@ -171,7 +169,6 @@ class Validity(Entries):
     lag_error: float = entry("lag_error_s", _SIZE, 0.0)
     lag_open: bool = entry("lag_open", flag, False)
     creep_open: float = entry("creep_open", _SIZE, 0.0)
-    step: float = entry("step_V", _SIZE, 0.0)
     temperatures: tuple[float, float] | None = entry("temperatures_degC", partial(_pair, numbers=_ANY), None)
 
     def _demand_together(self) -> None:

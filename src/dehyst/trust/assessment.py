@@ -150,7 +150,9 @@ class Insight(Plotted):
         if self.promise is None:
             low, high = voltages_of(self.actuator)
             return (excite_command(high, low),) if self._open() else ()
-        return tuple(dict.fromkeys(gap.command for gap in self.promise.untested if gap.command))
+        # Of a counted signal the records know the largest step of the voltage in a sample.
+        step = min(item.given.record.meta.get("step_V", 0.0) for item in self.comparisons)
+        return tuple(dict.fromkeys(gap.excitation(step) for gap in self.promise.untested if gap.command))
 
     def warnings(self) -> tuple[str, ...]:
         """Return warnings to consider before the model is used, and before the path of the `plan` is."""
