@@ -15,7 +15,7 @@ from dehyst.operations.registry import ENTRIES, find
 FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
-    "calibration": 1078,
+    "calibration": 1069,
     "cli": 357,
     "control": 3477,
     "exports": 1265,
@@ -23,24 +23,24 @@ ROOMS = {
     "foundation": 1325,
     "identification": 5800,
     "instruments": 2434,
-    "model": 3498,
+    "model": 3474,
     "operations": 2799,
     "paper": 958,
     "records": 4488,
     "report": 1469,
     "testing": 346,
-    "trust": 2257,
+    "trust": 2259,
     "virtual": 734,
     "waveforms": 1290,
     "web": 50,
     "workbench": 2197,
 }
 HOUSE = {
-    "lines of Python": 36133,
+    "lines of Python": 36101,
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2700,
-    "lines of tests": 29655,
+    "lines of tests": 29656,
     "lines of benchmarks": 4946,
     "words of docs": 27318,
     "public names": 110,

@@ -9,16 +9,7 @@ import numpy as np
 
 from dehyst.control import VoltageLimits
 from dehyst.instruments import AbstractRig, played_rate
-from dehyst.waveforms import (
-    RATIO,
-    TURNS,
-    Excitation,
-    Sampling,
-    positive,
-    raised_cosine,
-    recommended,
-    stage_excitation,
-)
+from dehyst.waveforms import RATIO, TURNS, Excitation, Sampling, positive, raised_cosine, recommended, stage_excitation
 
 # Usual cycles a second, samples of a cycle, and speed of the path beside them: for a single axis, and for several.
 _ALONE, _TOGETHER = (0.1, 1000, 5.0), (1.0, 400, 1.0)

@@ -43,12 +43,7 @@ from dehyst.model.states import (
     voltages_of,
 )
 from dehyst.model.summary import parts_of, step_response
-from dehyst.model.temperatures import (
-    demand_thermal,
-    temperature_columns,
-    temperature_range,
-    tested_temperatures,
-)
+from dehyst.model.temperatures import demand_thermal, temperature_columns, temperature_range, tested_temperatures
 
 __all__ = [
     "AbstractModel",

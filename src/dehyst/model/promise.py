@@ -358,7 +358,9 @@ def promise(
     # Nothing is known beyond the voltages of the records: the whole displacement there counts as error.
     over = np.maximum(v - validity.limits[1], validity.limits[0] - v) / validity.span
     errors = {"start": np.asarray(opened), "missed": np.abs(missed), "voltages": validity.stroke * over * (over > BAND)}
-    rms_, half = _added({name: error for name, error in errors.items() if np.any(error)}, rms_, half, parts)
+    for name, error in errors.items():
+        if np.any(error):
+            rms_, half, parts[name] = float(np.hypot(rms_, rms(error))), half + error, float(error.max())
     largest = sum(parts.values())
     untested = [*(not_recorded(validity) if voltage is None else untested_by(validity, v, clock, at, waits))]
     untested += [Untested("temperature", cost.sentence)] if cost.sentence else []
@@ -400,13 +402,6 @@ def _shown(validity: Validity, voltage: Array, time: Array | None, at: NDArray[n
     shown *= max(speed, rate / _OFTENER, 1.0) ** _FASTER
     late = 0.0 if time is None else _late(validity, speed, voltage, time)
     return float(np.hypot(shown, _GROWTH * max(speed, rate) * validity.growth)), late
-
-
-def _added(errors: Mapping[str, Array], rms_: float, half: Array, parts: dict[str, float]) -> tuple[float, Array]:
-    """Return RMS error and bound with other `errors` (n,) [m] along a path, which are added to the `parts`."""
-    for name, error in errors.items():
-        rms_, half, parts[name] = float(np.hypot(rms_, rms(error))), half + error, float(error.max())
-    return rms_, half
 
 
 def _anywhere(validity: Validity) -> Array:

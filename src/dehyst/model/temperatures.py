@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._units import COLDEST, HOTTEST
 from dehyst._validation import plain
 from dehyst._views.lines import percent
 from dehyst.model.dynamics import Thermal
@@ -23,8 +22,6 @@ if TYPE_CHECKING:
 
 # A model that does not depend on temperature counts as tested up to this distance [K] from the records.
 NEAR_KELVINS = 2.0
-# Least number of temperatures that show gain and offset.
-_FEWEST = 3
 # Temperatures closer than this [K] count as equal.
 _ALIKE = 0.5
 
@@ -42,32 +39,6 @@ def tested_temperatures(actuator: Actuator) -> tuple[float, float] | None:
     """Return the lowest and highest temperature [degC] of the records of an `actuator`; None if not known."""
     known = actuator.identification
     return None if known is None or known.validity is None else known.validity.temperatures
-
-
-def temperatures_to_record(
-    tested: tuple[float, float] | None, used: tuple[float, float] | None, reference: float | None = None
-) -> tuple[float, ...]:
-    """Return temperatures [degC] to record at until the records cover those in use; empty if they already do.
-
-    `tested`: lowest and highest of the records, or None. `used`: lowest and highest in use. `reference`: reference of
-    a model that depends on temperature; such a model does not need three temperatures again.
-    """
-    if used is None:
-        return ()
-    low, high = used
-    if not COLDEST <= low <= high <= HOTTEST:
-        need = f"{COLDEST:g} to {HOTTEST:g} degC, the lower one first"
-        raise ModelError(argument="temperatures", got=f"{low:g} to {high:g}", need=need)
-    if tested is None:
-        steps = _FEWEST if high - low >= NEAR_KELVINS else 1
-        return tuple(np.linspace(low, high, steps).tolist()) if steps > 1 else (0.5 * (low + high),)
-    near = _ALIKE if reference is not None else NEAR_KELVINS
-    needed = [end for end, off in ((low, tested[0] - low), (high, high - tested[1])) if off > near]
-    if needed and reference is None:
-        # The records do not show an effect of temperature: it needs a third temperature in the middle.
-        ends = min(low, tested[0]), max(high, tested[1])
-        needed.append(0.5 * (ends[0] + ends[1]))
-    return tuple(sorted(set(needed)))
 
 
 def words_of(temperatures: Iterable[float]) -> str:
@@ -128,6 +99,19 @@ class TemperatureCost:
         return float(self.along.max(initial=0.0))
 
     @property
+    def to_record(self) -> tuple[float, ...]:
+        """Temperatures [degC] to record at so that the records cover those of the path; empty if they already do."""
+        if self.tested is None or self.temperature is None:
+            return ()
+        low, high = float(np.min(self.temperature)), float(np.max(self.temperature))
+        near, tested = NEAR_KELVINS if self.thermal is None else _ALIKE, self.tested
+        needed = {end for end, off in ((low, tested[0] - low), (high, high - tested[1])) if off > near}
+        if needed and self.thermal is None:
+            # The records do not show an effect of temperature: it needs a third temperature in the middle.
+            needed.add(0.5 * (min(low, tested[0]) + max(high, tested[1])))
+        return tuple(sorted(needed))
+
+    @property
     def sentence(self) -> str:
         """Sentence about an unknown or untested temperature and its error; empty if the temperature is tested."""
         tested = "" if self.tested is None else "{:.3g} to {:.3g} degC".format(*self.tested)
@@ -140,15 +124,15 @@ class TemperatureCost:
                 f"Without a temperature the path is computed at {reference:.3g} degC; each kelvin off adds up to "
                 f"{percent(self.per_kelvin, self.stroke)} of the stroke{within}."
             )
-        farthest = float(self.kelvins.max(initial=0.0))
-        if farthest <= (NEAR_KELVINS if reference is None else _ALIKE):
+        if not (needed := self.to_record):
             return ""
+        farthest = float(self.kelvins.max(initial=0.0))
         low, high = float(np.min(self.temperature)), float(np.max(self.temperature))
         used = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
         adds = "" if reference is None else f", which adds {percent(self.largest, self.stroke)} of the stroke"
         return (
             f"The model was not tested at {used} degC: the records have {tested}, {farthest:.3g} K away{adds}. "
-            f"Record at {words_of(temperatures_to_record(self.tested, (low, high), reference))}."
+            f"Record at {words_of(needed)}."
         )
 
 
