@@ -150,7 +150,7 @@ class Insight(Plotted):
         if self.promise is None:
             low, high = voltages_of(self.actuator)
             return (excite_command(high, low),) if self._open() else ()
-        # Of a counted signal the records know the largest step of the voltage in a sample.
+        # Records of a counted signal know the largest step of the voltage in a sample.
         step = min(item.given.record.meta.get("step_V", 0.0) for item in self.comparisons)
         return tuple(dict.fromkeys(gap.excitation(step) for gap in self.promise.untested if gap.command))
 
