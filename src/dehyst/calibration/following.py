@@ -160,11 +160,11 @@ class FollowedPath:
     def _play(
         self, player: Player, voltage: Array, wanted: Array, size: int, step: StepFunction | None = None
     ) -> Array:
-        """Play voltages (n, axes) [V], record them with what is wanted [m], return what the last `size` reached."""
+        """Play voltages (n, axes) [V], record them with the wanted path [m]; return the last `size` displacements."""
         excitation = Excitation("path", voltage if self._several else voltage[:, 0], self.rate)
         self.listener.step("path", excitation.duration)
         record = player.play(excitation, wanted, step=step)
-        # A short or coarse record shows more than the noise.
+        # In a short or coarse record the estimate contains more than the noise.
         noise = [record.axis(j).noise for j in range(len(self.rig.axes))]
         self.noise = [*map(min, self.noise or noise, noise)]
         self.remarks += () if self.remarks else slower(record, excitation)

@@ -90,8 +90,8 @@ def _follow(
     """Return the voltages of a path of the model (n,) [m]; `rates`: its velocity and its acceleration."""
     steps = limits.steps(wanted.size, time, period)
     path, state = _Path(actuator, wanted, time, *rates), evaluator_of(actuator).complete_state(start)
-    # Raises if the time is missing or does not fit. Of few runs of equal steps, and no part that still responds to
-    # voltages before, what comes after a clamped sample is stepped through.
+    # Raises if the time is missing or does not fit. With few runs of equal steps and without dynamics, the samples
+    # after a clamped one are computed step by step.
     moves, rings = evaluator_of(actuator).has_dynamics, False
     steps_on = path.clock[1].size <= _FEW and not moves
     voltage, reached = np.empty_like(wanted), np.empty_like(wanted)
@@ -119,7 +119,7 @@ def _follow(
             state = path.compensate(begin, end, state)[1] if end > begin else state
             reached[end], state = path.simulate(voltage, end, i, state)
         if steps_on and changed.size:
-            # After a clamped sample others follow soon: sample by sample, then, to the end.
+            # Other clamped samples will follow soon: compute the rest sample by sample.
             voltage[i:], reached[i:], clamped[i:], state = path.step(i, voltage[i - 1], state, limits)
             break
     if moves:

@@ -52,7 +52,7 @@ dehyst_status piezo_temperature(piezo *p, dehyst_real degrees)
 }
 """
 _A_LINE = 4
-# Tables whose numbers are members of the model, not arrays.
+# Tables whose numbers are single members of the model, not arrays.
 _SCALARS = ("loop", "inertia", "transition", "output")
 # Bytes before the numbers of a block.
 _HEADER = 64

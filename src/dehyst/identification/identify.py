@@ -33,7 +33,7 @@ from dehyst.identification.structure import Structure
 from dehyst.model import Actuator, Identification, Outcome, promised, with_identification
 from dehyst.records import Record, guesses, recorded_slew_rate, resolution, rms
 
-# Least offset of a record, as a part of the voltage range, and least ratio of errors without and with it, that count.
+# An offset of a record is significant from this part of the voltage range and this ratio of errors without and with it.
 _OFFSET, _TIMES = 0.02, 3.0
 PLAIN = Structure(elements=20, knots=21, smoothing=0.0)
 

@@ -125,7 +125,7 @@ class Output:
             return f"{self._unconfirmed:.6g} V was sent last, and no answer confirms it"
         if self._sent.size == 1:
             return f"{self.likely:.6g} V was the last that it acknowledged"
-        # Samples that came are certain; the later voltages depend on the clock of the device alone.
+        # Received samples are certain; the later voltages depend only on the clock of the device.
         left = self._sent[self._row :]
         way = f"between {left.min():.6g} and {left.max():.6g} V"
         return f"a wave went on from {left[0]:.6g} V, {way}, to its end at {left[-1]:.6g} V"
@@ -133,7 +133,7 @@ class Output:
     def _present(self, sent: Array) -> tuple[float, float, float]:
         """Return the likeliest voltage, lowest and highest [V] of an output that may have stopped since a sample."""
         passed = self._pace * self._rig._now()
-        # By the recent sample that came with the least delay. All of them are late if this computer is busy.
+        # The estimate uses the recent sample with the least delay. All are late if this computer is busy.
         likely = max(self._recent) + passed if self._recent else 0.0
         last = max(likely, self._soonest + passed) + self._pace * _LEAST_DELAY
         first, middle, end = (min(max(int(place), 0), sent.size - 1) for place in (self._row, likely, last))
@@ -211,10 +211,10 @@ class Output:
             except RigError as error:
                 if not again:
                     raise
-                # A device may complain of something else, and have taken the voltage.
+                # The error of the device may have another cause, and the voltage may have been taken.
                 taken = None if unread else self._has_arrived(voltage, present)
                 if taken is None and isinstance(error, LinkError):
-                    # It may have been taken or not; the next step is within the slew rate from both voltages.
+                    # It is unknown whether the voltage was taken; the next step keeps the slew rate from both.
                     unread, again, present = True, again - (voltage == end), voltage
                     self._unconfirmed = voltage
                     continue

@@ -177,10 +177,10 @@ class PiRig(AbstractRig):
         return 1 / (self.waves.divider(sample_rate) * self.waves.servo_period)
 
     def _read(self) -> Reading:
-        # By the host's clock, but behind the last sample; two readings may come within one of its ticks.
+        # The time of the host's clock, but later than the last sample: two readings may come within one tick.
         self._last = max(self._now() - self._began, self._last + _TICK)
         (position,) = self._client.numbers("POS?", self.axis)
-        # An answer without a key, so that a position that is one answer late cannot be taken for the voltage.
+        # The answer to this command has no key: a position that is one answer late cannot be taken for the voltage.
         self._client.set()
         return Reading(self._last, self._read_voltage(), position * _METRES)
 
@@ -219,7 +219,7 @@ class PiRig(AbstractRig):
         query, stop = command("WGO?", self._generator), [command("WGO", self._generator, 0)]
         for _ in range(_STEPS_TO_STOP):
             if self._client.query(query, partial(gcs_syntax.values, keys=[self._generator]), stop) == [0]:
-                # Clears the error that reports the stop. Whatever is answered, a ramp to the safe voltage is possible.
+                # Clear the error that reports the stop. After any answer, a ramp is possible.
                 with suppress(LinkError):
                     self._client.clear()
                 return

@@ -280,7 +280,7 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction
     """
     period, readings, read, answer = 1 / rate, list[Reading](), None, 0.0
     sent = yielded = rig._now()
-    # A ramp has just taken its last step, to the first voltage; that of a loop is another. Nothing else is out yet.
+    # A ramp has just ended at the first voltage of a wave; a loop has another first voltage, one period later.
     due, before = sent + period * (step is not None), float(voltage[0])
     rig._output.puts(before)
     for k in range(len(voltage)):
@@ -288,15 +288,15 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction
         if step is not None:
             voltage[k] = rig.limits.towards(step(read), before, period)
         v = float(voltage[k])
-        # Since the last voltage was out, the slew rate needs this time.
+        # Wait until the slew rate allows the step from the last voltage.
         rig._wait(max(0.0, sent + abs(v - before) / rig.slew_rate - rig._now()))
         began = rig._now()
         with driver_errors(rig.name, "_put"):
             rig._put(v)
-        # From here a retreat begins if the reading fails: samples come later than voltages.
+        # A retreat begins at this voltage if the reading fails: samples come later than voltages.
         rig._output.puts(v)
         before, sent = v, rig._now()
-        # A wait that took too long does not delay all that follows; a call that did, does.
+        # A wait that took too long does not delay the later voltages; a call that took too long does.
         due = due + period if began - due < _CAUGHT_UP * period else began + period
         rig._wait(max(0.0, 0.5 * (began + sent + period - answer) - rig._now()))
         asked = rig._now()

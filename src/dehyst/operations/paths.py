@@ -148,7 +148,7 @@ def closed_path(wanted: Array) -> Array:
     steps, gap = np.abs(np.diff(wanted, axis=0)).max(axis=0), wanted[0] - wanted[-1]
     if (np.abs(gap) <= _CLOSED * steps).all():
         return wanted
-    # A cosine as steep as the path is.
+    # The way back is a cosine with the largest slope of the path.
     count = int(np.ceil(0.5 * np.pi * (np.abs(gap) / np.maximum(steps, 1e-15)).max())) + 1
     way = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, count) / count)
     return np.vstack([wanted, wanted[-1] + way[:, None] * gap])

@@ -122,8 +122,8 @@ class Result:
 def perform(ctx: click.Context, run: Run) -> Result:
     """Run the operation of a command with the values in its context.
 
-    Raise `DehystError` if a parameter has no effect, if an output is an input, exists or cannot be written, or as the
-    operation does. So no result is lost because of its place.
+    Raise `DehystError` if a parameter has no effect, or if an output is an input, exists or cannot be written: no
+    result is lost for lack of a place. The operation may raise too.
     """
     given, values = given_in(ctx), {name: value for name, value in ctx.params.items() if name not in HOUSE}
     run.command, run.force = command_of(ctx), bool(ctx.params.get("force"))

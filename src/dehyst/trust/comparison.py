@@ -308,7 +308,7 @@ def _residual(model: AbstractModel, piece: Record, kept: Mask, noise: float, *, 
     error = piece.displacement - simulated(model, piece.voltage, piece.time).displacement
     if not before:
         return np.asarray(error[kept])
-    # As `state_after` does: over the samples that count, or from the last one.
+    # The constant is computed like in `state_after`: from the used samples, or from the last one.
     last = epochs(piece[: before + 1], noise)[-1:]
     return np.asarray(error[kept] - error[last[0].start if last else before : before + 1].mean())
 

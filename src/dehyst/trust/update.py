@@ -212,7 +212,7 @@ class _Refit:
         self.prepared = prepare_for(actuator, record)
         self.drifts = self.prepared.can_drift
         zero = next(change.value for change in recheck.changes if change.name == "zero")
-        # A smaller one may be of the stage: of creep from before the record, or of a gain.
+        # A smaller change of the zero may come from the stage: from earlier creep, or from a gain.
         self.zero = -zero if abs(zero) > _KEPT * recheck.stroke else 0.0
         known = actuator.identification
         self.own = recheck.noise if known is None or known.validity is None else known.validity.rms

@@ -299,7 +299,7 @@ def _on_major_loop(actuator: Actuator, voltage: float, side: int) -> State:
     """
     plain = quasistatic(replace(actuator, displacement_creep=None, state=None))  # type: ignore[arg-type]
     low, high = knots_of(plain)
-    # It comes from so far that every element slides.
+    # The motion is long enough that every element slides.
     way = high - low + 2 * float(plain.slip.breakaway.max(initial=0.0))
     while side * (voltage - plain.voltage(turned(plain, low - side * way, rising=side > 0))) < 0:
         way *= 2
@@ -361,7 +361,7 @@ def possible_states(
         reached: State = still.simulate(voltages, time=seconds, state=state, extrapolate=True).state
         return reached
 
-    # After resting for ever at either limit.
+    # The states after an infinite rest at either limit.
     rested = [
         still._evaluator.complete_state(State(end.deformation, end.carts, smooth=share * lengths))
         for end in (_on_major_loop(actuator, low, 1), _on_major_loop(actuator, high, -1))

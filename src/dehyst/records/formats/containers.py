@@ -112,7 +112,7 @@ def _columns_of(arrays: Sequence[_Array], allowance: Allowance) -> list[Column]:
     lengths = {column.data.size for column in columns} - {0}
     alone = len(tables) == 1 and not lengths
     fit = [table for table in tables if not lengths or max(table.values.shape) in lengths]
-    # A column without a name is the first one, so that its file says so.
+    # Columns without a name come first, because an error names the first column.
     columns = [column for table in fit for column in table.columns(allowance, alone)] + columns
     if columns and not (lengths or fit):
         raise FileFormatError(f"'{shortened(columns[0].name)}' {columns[0].fault}")
@@ -164,7 +164,7 @@ def read_hdf5(stream: BinaryIO, allowance: Allowance) -> list[Column]:
 def _dataset(name: str, item: Any, allowance: Allowance) -> list[_Array]:
     """Return a dataset; none for text, an empty array of MATLAB, and a dimension of netCDF without coordinates."""
     matlab = _attribute(item, "MATLAB_class")
-    # They are numbers in the file: of letters, of a shape, and zeros.
+    # The numbers of these datasets are letters, a shape, or zeros.
     if matlab == [b"char"] or "MATLAB_empty" in item.attrs or "not a netCDF variable" in str(_attribute(item, "NAME")):
         return []
     fault = _ELSEWHERE if item.is_virtual or item.external else _CELL if matlab == [b"cell"] else ""
