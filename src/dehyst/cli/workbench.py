@@ -39,7 +39,7 @@ def workbench(
             threading.Thread(target=_open, args=(door,), daemon=True).start()
 
     serve(folder, port=port, opened=opened)
-    return Result({}, [f"Everything is in {folder}; the same command goes on from there."])
+    return Result({}, [f"Everything is in {folder}; the same command continues from there."])
 
 
 def _open(door: Door) -> None:

@@ -207,7 +207,7 @@ class WaveWatch:
         most = due + _FAST * (rig.rigs[0]._now() - self._began) + _JUMP
         if not _PACE * due - _LATE / self._rate <= passed <= most:
             raise DeviceError(
-                f"{rig.name}: its clock does not go with the {self._rate:.6g} Hz that were asked for: by its times, "
+                f"{rig.name}: its clock does not agree with the requested {self._rate:.6g} Hz: by its times, "
                 f"{passed:.6g} s passed, need {due:.6g} s; check the rig's _wave and nearest_rate, and its clock"
             )
 

@@ -76,7 +76,7 @@ def _names(rig: str, axes: str | None) -> list[str] | None:
 def calibrate(
     run: Run,
     rig: str = argument(None),
-    output: Path = output("Folder; that of an earlier calibration goes on.", CONTINUED, default="dehyst-calibration"),
+    output: Path = output("Folder; an earlier calibration continues.", CONTINUED, default="dehyst-calibration"),
     axes: str | None = option("Calibrate these axes of one body together, as 1,2,3; default: one axis."),
     limits: OfAxes = limits_option("Range of the voltage [V]; default: the device's."),
     slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: the device's."),
@@ -135,7 +135,7 @@ def _left(output: Path) -> Iterator[None]:
             # A full disk may have room later; a folder of another instrument remains one.
             temporary = isinstance(error, RigError) or isinstance(error.__cause__, OSError)
             continues = not isinstance(error, Exception) or temporary
-            end = "; the same command goes on from there" if continues else ""
+            end = "; the same command continues from there" if continues else ""
             error.add_note(f"the records so far are in {records}{end}")
         raise
 
