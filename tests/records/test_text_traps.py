@@ -211,7 +211,7 @@ def test_timestamps_become_seconds(cells, seconds):
         clock_of([moment(cell) for cell in cells])
 
 
-def test_a_unit_that_the_user_selects_ends_a_contradiction(tmp_path):
+def test_a_selected_unit_resolves_a_contradiction(tmp_path):
     TRAPS["a row of units against the names"].trap(tmp_path / "a.csv")
     names = "time=time_s:s, displacement=displacement_um:um"
     assert is_right(read(tmp_path / "a.csv", f"{names}, voltage=voltage_V:V"))

@@ -262,7 +262,7 @@ def _vibration(trace: Trace, residual: Array) -> tuple[float, float]:
     driven = float(drive[near].max()) > _DRIVEN * float(drive[1:].max(initial=0.0)) or _harmonic(drive, k)
     if driven or share < _LINE_POWER or not around.size or power[k] < _LINE_HEIGHT * float(np.median(around)):
         return 0.0, 0.0
-    # The sine near that line that explains most of the residual.
+    # Find the sine near this line that explains most of the residual.
     time = np.arange(residual.size) * step
     frequencies = k / (step * residual.size) + np.linspace(-1, 1, 21) / time[-1]
     sizes = [2 * abs(np.mean(residual * np.exp(-2j * np.pi * f * time))) for f in frequencies]

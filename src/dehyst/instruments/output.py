@@ -1,4 +1,4 @@
-"""Where the voltage of an axis may be, and where it is by what was sent, when, and what was read; ramps from there."""
+"""The limits of an axis, its present voltage (from sent voltages, times and readings), and ramps from there."""
 
 from __future__ import annotations
 

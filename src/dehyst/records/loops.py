@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _POINTS, _EQUAL = 32, 0.02
 # Least area of a loop in the wrong direction: as a part of its bounding box, and in standard deviations of the noise.
 _AREA, _DEVIATIONS = 0.005, 5.0
-# A jump between sorted branches: least part of the range, least usual steps, least part of other steps that go back.
+# A jump between sorted branches: at least this part of the range, this many usual steps; this part of steps goes back.
 _JUMP, _STEPS, _OTHERS = 0.3, 10.0, 0.95
 # Two branches are similar if they differ by at most this part of the difference of other branches.
 _ALIKE = 0.4

@@ -380,7 +380,7 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
 
     Where both have times that differ, samples are those of the file with the displacement, else of the first: straight
     lines would take the noise of a sensor away. Samples without the other file are left out. Raise `FileFormatError` if
-    lengths differ without two times, or times do not rise, do not overlap, or have no clock in common.
+    lengths differ and a file has no times, or if the times do not rise, do not overlap, or are from different clocks.
     """
     stem = f"{other.source.rsplit('.', 1)[0]}/"
     first, second = (_Timed.of(file, columns) for file in (table, other))

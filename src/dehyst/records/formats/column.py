@@ -86,8 +86,8 @@ GAIN, GUESS = "GAIN", "?"
 # A quantity and its unit: "Time / s", "Pos/nm", "Weg in µm", "Ch1,V"; in the last brackets.
 _WRITTEN_OUT = re.compile(r"([^/]*[^/\s])(?:\s*/\s*|\s+in\s+|,\s*)([^/\s\[\]()]+)")
 _BRACKETS = re.compile(r"(.*?)[\s_]*[\[(]([^\[\]()]*)[\])]\s*", re.DOTALL)
-# The names of outputs, monitors and channels of an oscilloscope, as whole words or in them, and the range that such
-# plugs have [V]: 10 V and what a converter measures beyond.
+# Names of outputs, monitors and channels of an oscilloscope: whole words, and parts of words. The range of such
+# connectors [V]: 10 V, and the margin of a converter.
 _PLUG = re.compile(
     r"(?<![^\W\d_])(?:ai|ao|ausg|c|ch|chan|channel|cmd|ctrl|dac|ext|kanal|mon|out|setpoint|[uv]mon|[uv]out)(?![^\W\d_])|"
     r"analog|ausgang|command|control|monitor|output|regler|salida|sortie|uscita"
