@@ -109,7 +109,7 @@ def test_impossible_numbers_are_refused_from_python_and_from_a_file(name):
 
 
 @pytest.mark.parametrize("name", [name for name, (_, _, most) in ENTRIES.items() if most < np.inf])
-def test_numbers_of_no_piezo_actuator_are_refused_from_a_file(name):
+def test_implausible_numbers_in_a_file_are_refused(name):
     part, entry = name.split(".")
     key, laws, most = ENTRIES[name]
     value = getattr(owner_of(part), entry)

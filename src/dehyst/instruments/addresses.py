@@ -122,7 +122,7 @@ def _custom(address: str, options: _Options) -> AbstractRig:
     path = Path(place)
     if not path.is_file():
         raise RigError(f"{path}: the file does not exist; need one with a function that makes a rig")
-    # As Python does for a script: modules in the same folder can be imported.
+    # Modules in the same folder can be imported, like in a script of Python.
     if (folder := str(path.resolve().parent)) not in sys.path:
         sys.path.insert(0, folder)
     try:

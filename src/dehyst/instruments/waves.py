@@ -217,7 +217,7 @@ def arriving(
 ) -> Iterator[Samples]:
     """Play an `excitation` at a `rate` [Hz] from the present output; yield each batch when `listen` has received it.
 
-    `step`: as of `AbstractRig.play`. Raise `RigError` if the device, its link, its sensor or its clock fails.
+    `step`: see `AbstractRig.play`. Raise `RigError` if the device, its link, its sensor or its clock fails.
     """
     watch, after = WaveWatch(rig, excitation, rate), -math.inf
     waves = rig._wave if step is None else partial(host_timed, rig, step=step)
@@ -276,7 +276,7 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction
     """Send each `voltage` (n,) [V] to `rig` at `rate` [Hz], slower if a call takes longer; read in the middle of holds.
 
     There the displacement is that of straight lines between the voltages, with the actuator's own lag, at every rate.
-    Readings have the device's time. `step`: as of `AbstractRig.play`, in their place.
+    Readings have the device's time. `step` replaces the given voltages, see `AbstractRig.play`.
     """
     period, readings, read, answer = 1 / rate, list[Reading](), None, 0.0
     sent = yielded = rig._now()

@@ -276,7 +276,7 @@ class Promise:
         """Advice if the largest error from model and lag exceeds 5 % of the stroke; else empty."""
         if self.parts["model"] + self.parts.get("lag", 0.0) <= 0.01 * USELESS * self.stroke:
             return ""
-        advice = "The records test the path: identify each alone to find the cause, or follow a slower path."
+        advice = "The records test this path: identify each record alone to find the cause, or slow the path."
         if any(gap.command for gap in self.untested):
             advice = "Record what the records do not test (dehyst insight names it), and identify again."
         return f"The model is not usable for {self.path}: its own error is over {USELESS:g} % of the stroke. {advice}"
