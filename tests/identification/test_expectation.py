@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from dehyst import Record
 from dehyst.identification import Check, Outcome, Readiness, RecordErrors, Trace, Verdict
 from dehyst.identification.checks import RemainingError
-from dehyst.identification.comparison import along_the_way
+from dehyst.identification.comparison import rms_over_travel
 from dehyst.identification.expectation import Expectation, HeldOutErrors, expectation, growth, new_branches, validity_of
 from dehyst.model import Promise
 
@@ -81,7 +81,7 @@ def test_the_larger_of_held_out_and_record_error_is_used():
 def test_fast_branches_count_as_much_as_slow_ones():
     time, voltage = np.append(np.arange(200.0), 200 + 0.1 * np.arange(200)), np.tile(np.r_[0:100, 100:0:-1], 2)
     made = trace(Record(time, voltage, 1e-7 * voltage), np.where(time < 200, 0.0, 1e-8))
-    assert along_the_way(made) == pytest.approx(1e-8 / 2**0.5, rel=0.01)
+    assert rms_over_travel(made) == pytest.approx(1e-8 / 2**0.5, rel=0.01)
 
 
 def test_disagreement_of_structures_widens_the_promise_at_new_turns():

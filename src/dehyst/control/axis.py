@@ -21,7 +21,7 @@ from dehyst.model import Actuator, State, demand_thermal, evaluator_of, major_lo
 
 # A delay this close to a whole number of steps is that number.
 _WHOLE = 1e-9
-# Most steps of a delay, or of a radian of the resonance.
+# Largest number of steps in a delay, or in a radian of the resonance.
 _FARTHEST = 1e6
 
 
@@ -29,9 +29,9 @@ _FARTHEST = 1e6
 class Axis:
     """An actuator within limits and its loop in C; lengths are in metres.
 
-    `given`: its state at the construction or last reset, by default (`assumed`) the actuator's own; `start`: this state
-    within the limits. `previews`, `warns`: as in `Compensator`, of several axes with a `name`. `per_metre`: the unit of
-    steps and offers of the loop.
+    `given`: the state at the construction or last reset; if `assumed`, the default state of the actuator. `start`: this
+    state within the limits. `previews`, `warns`: as in `Compensator`. `per_metre`: units of steps and offers in a
+    metre. `name`: if there are several axes.
     """
 
     actuator: Actuator
@@ -91,7 +91,7 @@ class Axis:
 
     @property
     def running(self) -> bool:
-        """Whether the loop was made; else nothing was sent."""
+        """Whether the loop exists; before that, nothing was sent."""
         return "loop" in self.__dict__
 
     @property
@@ -127,7 +127,7 @@ class Axis:
 
     @property
     def width(self) -> float:
-        """Width of the reach [m], or the stroke: a reach far beyond the records is extrapolated."""
+        """Width of the reach [m], or the stroke if smaller: a reach far beyond the records is extrapolated."""
         return min(self.reach[1] - self.reach[0], stroke_of(self.actuator))
 
     @cached_property
@@ -139,7 +139,7 @@ class Axis:
         return self.bounds.nearest(self.actuator.voltage(state))
 
     def scaling(self, temperature: ArrayLike | None = None, samples: int = 1) -> tuple[Any, Any]:
-        """Return gains and offsets [m] of `samples` at a `temperature`, one or (n,) [degC]; None: those of the loop.
+        """Return gains and offsets [m] of `samples` at a `temperature` () or (n,) [degC]; None: those of the loop.
 
         Raise `ModelError` if the actuator does not depend on temperature.
         """
@@ -149,11 +149,11 @@ class Axis:
         return gain, offset
 
     def strays(self, displacement: Array) -> str:
-        """Return why a `displacement` (n,) [m] of the model is implausible; else ""."""
+        """Return why a `displacement` (n,) [m] of the model is implausible; "" if it is plausible."""
         return stray_sentence(self.actuator, self.bounds, displacement)
 
     def call(self, function: Callable[[float], float], displacement: float) -> float:
-        """Return the voltage [V] for a displacement [m, or its unit], by a `function` of the loop."""
+        """Return the voltage [V] for a displacement [m, or the loop's unit], by a `function` of the loop."""
         try:
             return function(displacement)
         except TypeError:
@@ -205,13 +205,13 @@ class Axis:
         return self.loop.save()
 
     def restore(self, snapshot: object) -> None:
-        """Continue from a `snapshot`, see `restore_all`, which undoes what an error leaves."""
+        """Continue from a `snapshot`; an error may leave the memory changed, which `restore_all` undoes."""
         if not isinstance(snapshot, bytes):
             raise ModelError(argument="snapshot", got=type(snapshot).__name__, need="the bytes of snapshot()")
         try:
             self.loop.restore(snapshot)
         except CoreError as error:
-            raise ModelError(f"got one that is refused: {error}", argument="snapshot") from error
+            raise ModelError(f"got a snapshot that the core refuses: {error}", argument="snapshot") from error
         self.bounds.within(self.loop.sent(), "snapshot")
 
 
@@ -219,7 +219,7 @@ def restore_all(axes: Sequence[Axis], snapshots: Any) -> None:
     """Continue from `snapshots`, one per axis; raise `ModelError` as `Compensator.restore`: the memory is unchanged."""
     given = len(snapshots) if isinstance(snapshots, Sequence) else type(snapshots).__name__
     if given != len(axes):
-        raise ModelError(argument="snapshot", got=str(given), need=f"{len(axes)}, one for each")
+        raise ModelError(argument="snapshot", got=str(given), need=f"{len(axes)}, one for each axis")
     with unchanged_by_errors(*axes):
         for axis, snapshot in zip(axes, snapshots, strict=True):
             axis.restore(snapshot)
@@ -236,10 +236,10 @@ def axes_of(
     runs: bool = False,
     **options: Any,
 ) -> tuple[Axis, ...]:
-    """Return the axis of each of several actuators; an error begins with its name.
+    """Return an axis for each actuator; an error begins with the name of its axis.
 
-    `limits`, `slew_rate`, `state`: one or one per actuator. `runs`: whether a missing period is an error. `options`:
-    further fields of all.
+    `limits`, `slew_rate`, `state`: one value, or one per actuator. `runs`: whether a missing period is an error.
+    `options`: further fields of all axes.
     """
     given = {"limits": limits, "slew_rate": slew_rate, "state": state}
     columns = [for_each(values, len(actuators), name) for name, values in given.items()]
@@ -311,7 +311,7 @@ def preview_filter(actuator: Actuator, period: float) -> tuple[Array, int]:
             f"got {period:g} s, which is too short to look ahead by a delay of {actuator.delay:g} "
             "s or a period of the resonance",
             argument="period",
-            hint="give a longer one, or leave preview out",
+            hint="give a longer period, or no preview",
         )
     # Remove the rounding of a whole number of periods.
     delay = round(delay) if abs(delay - round(delay)) < _WHOLE else delay
@@ -321,7 +321,7 @@ def preview_filter(actuator: Actuator, period: float) -> tuple[Array, int]:
     # Samples symmetric about the delay make the error of a derivative one order smaller.
     near = (1 if dynamics is None else 2) + (delay != whole)
     offsets = np.arange(whole + (delay != whole) - near, whole + near + 1, dtype=np.float64)
-    # Weights of the samples in value and derivatives, at the delay, of the polynomial through them: a column an order.
+    # Weights of the samples in the value and the derivatives of their polynomial at the delay.
     powers = np.vander(np.subtract(offsets, delay), increasing=True).T
     taps, first, second = (np.linalg.solve(powers, math.factorial(n) * np.eye(offsets.size)[n]) for n in range(3))
     if dynamics is not None:

@@ -69,7 +69,7 @@ class Bank:
         if not self.actuators:
             raise ModelError("actuators: got none, need one at least")
         names = [f"actuator {i}" for i in range(len(self.actuators))]
-        # The bank warns, of all actuators at once.
+        # The bank itself warns, once for all actuators.
         begins = for_each(states, len(self.actuators), "states")
         given = {"limits": limits, "slew_rate": slew_rate, "state": begins}
         self._axes = axes_of(self.actuators, names, period, **given, runs=True)
@@ -87,7 +87,7 @@ class Bank:
         given, result = displacement, np.empty(len(self))
         row = given if isinstance(given, np.ndarray) else vector(given, "displacement")
         plain = row.shape == result.shape and row.dtype == np.float64 and row.flags.c_contiguous
-        # It sends nothing if a displacement is refused or a voltage clamped.
+        # The step in C sends nothing if it refuses a displacement or would clamp a voltage.
         if not plain or not self._loops.step(row, result):
             result = self._follow(self._table(row[None]))[0]
         return result
@@ -130,7 +130,7 @@ class Bank:
         for kind, now, then in zip(("limited", "slewed"), after[:2], before[:2], strict=True):
             if now > then and kind not in self._warned:
                 most = int(np.argmax([getattr(clamps, kind) for clamps in self.clamps]))
-                words = f"{now - then} of {wanted.size} voltages {kind}, of actuator {most} the most so far"
+                words = f"{now - then} of {wanted.size} voltages {kind}; actuator {most} has the most so far"
                 try:
                     warnings.warn(words, ClampWarning, 3)
                 except ClampWarning:
@@ -140,7 +140,7 @@ class Bank:
         return voltage
 
     def _table(self, displacement: ArrayLike) -> Array:
-        """Return displacements (n, M); raise `ModelError` if they have another shape, or one is not a finite number."""
+        """Return displacements (n, M); raise `ModelError` if the shape is wrong, or a value is not finite."""
         table = matrix(displacement, "displacement")
         if table.shape[1] != len(self):
             need = f"a column for each of {len(self)} actuators"

@@ -31,9 +31,9 @@ class Compensator:
     With ``units="um"``, all displacements that the compensator takes or returns are in micrometres. If writing may fail
     or change the voltage, use `offer` and `commit` instead of `step`.
 
-    Of a `Stage`, displacements and voltages are (axes,), in a path (n, axes), and what is marked with * is a tuple with
-    one entry for each axis. Each actuator follows ``w = coupling^-1 y``. What a clamped axis misses moves the others by
-    their coupling.
+    With a `Stage`, displacements and voltages are (axes,), in a path (n, axes), and a value marked with * is a tuple
+    with one entry for each axis. Each actuator follows ``w = coupling^-1 y``. The error of a clamped axis moves the
+    other axes by their coupling.
 
     Parameters
     ----------
@@ -46,10 +46,10 @@ class Compensator:
         Seconds between steps; needed with a slew rate or `preview`, and by an actuator with creep, dynamics or a lag.
     state : State, or one per axis, optional
         Initial state of the actuator, e.g. after a homing. If its voltage lies outside the limits, the actuator is
-        assumed to have moved to the nearest limit. Default: the actuator's own, for an identified model the top of its
-        records, so that the first voltages lie near the highest; of a stage, if this is outside the limits, the state
-        after major loops between the limits. `voltage` is the assumed voltage before any step, and a `ClampWarning` of
-        the first step names it; `reset` begins in another state.
+        assumed to have moved to the nearest limit. Default: the actuator's own state; for an identified model it is the
+        top of its records, and the first voltages lie near the highest. If it is outside the limits of a stage: the
+        state after major loops between the limits. Before any step, `voltage` is the assumed voltage, which a
+        `ClampWarning` of the first step names.
     units : str, optional
         Unit of all displacements that this compensator takes and returns: "m" (default), "mm", "um", "nm" or "pm".
         A `state` is in SI units always.
@@ -67,7 +67,7 @@ class Compensator:
     actuator : Actuator
         Of a single axis only.
     stage : Stage
-        Of several axes as given; of a single axis a stage of its own.
+        As given for several axes; for a single axis, a stage of this axis alone.
     limits, slew_rate *
         Limits are a pair of floats.
 
@@ -76,7 +76,7 @@ class Compensator:
     ModelError
         If there are no limits, or they are not an interval, a number is not positive, a state does not fit the
         actuator, a period is missing or too long for a resonance, the unit is not a length, a list has another length
-        than the axes, or several axes are to have a preview. An error of one of several axes names it.
+        than the axes, or `preview` is given for several axes. With several axes, an error names its axis.
     """
 
     model: Any
@@ -110,7 +110,7 @@ class Compensator:
         if preview and period is None:
             raise ModelError("preview needs the time between steps", hint="give the period [s]", change=("period",))
         if preview and not single:
-            raise ModelError(argument="preview", got="it for several axes", need="a single axis")
+            raise ModelError(argument="preview", got="several axes", need="a single axis")
         scale = per_metre(units)
         own: dict[str, Any] = {"limits": limits, "slew_rate": slew_rate, "state": state, "warns": bool(warns)}
         own |= {"previews": bool(preview), "per_metre": scale} if single else {}
@@ -144,7 +144,7 @@ class Compensator:
         return Compensator(**self._options() | ({} if units is None else {"units": units}))
 
     def _shaped(self, values: Any) -> Any:
-        """Return the only one of values, or of several axes a tuple of all."""
+        """Return the value of a single axis, or a tuple with the values of several axes."""
         each = tuple(values)
         return each[0] if self._single else each
 
@@ -176,7 +176,7 @@ class Compensator:
             return voltage
         axis = self._axes[0]
         if "step" not in self.__dict__:
-            # Later steps call the core without Python between; the core must not keep this object alive.
+            # Later steps call the core directly; the core must not keep this object alive.
             here = weakref.proxy(self)
             axis.loop.slow = lambda wanted, degrees: Compensator.step(here, wanted, degrees)
             self.__dict__["step"] = axis.loop.quick
@@ -187,7 +187,7 @@ class Compensator:
         axes = self._axes
         if self._single:
             return axes[0].call(axes[0].loop.offer, displacement)
-        # As with one axis, a displacement that is refused takes the place of the one on offer.
+        # As with one axis, a refused displacement also withdraws the pending offer.
         for axis in axes:
             axis.loop.withdraw()
         wanted = [value / self._per_metre for value in self._values(displacement, "displacement")]
@@ -198,7 +198,7 @@ class Compensator:
         """Commit `voltage` [V] as sent: the offered voltage, or the value to which a converter has rounded it.
 
         Raise `ModelError` if it is not finite, or so far outside the limits that the next step could not return within
-        the slew rate, or by more than their distance: the memory is unchanged.
+        the slew rate, or outside by more than the width of the limits: the memory is unchanged.
         """
         values = self._values(voltage, "voltage")
         if self._single:
@@ -216,8 +216,8 @@ class Compensator:
     def run(self, displacement: ArrayLike) -> Array:
         """Return the voltages (n,) [V] of n steps for a `displacement` (n,) [m, or `units`], and commit them.
 
-        A path of 1000 samples or more is computed in blocks: where no voltage is clamped, and without
-        preview, lag and inertia, these agree with `step` to rounding. All others are those of `step` to the bit.
+        A path of 1000 samples or more is computed in blocks. Where no voltage is clamped, and without preview, lag and
+        inertia, its voltages agree with those of `step` to rounding. All others agree to the bit.
 
         Raises
         ------
@@ -245,7 +245,7 @@ class Compensator:
     def displacement(self) -> Any:
         """Displacement [m, or `units`] after all voltages sent, by the model and the `scale`.
 
-        With several axes, a mass is assumed to follow at once.
+        With several axes, a mass is assumed to follow without delay.
         """
         if self._single:
             axis = self._axes[0]
@@ -280,7 +280,7 @@ class Compensator:
     def reset(self, state: State | Sequence[State | None] | None = None) -> None:
         """Start again in a `state`, by default that at construction or the last reset; counts restart at 0.
 
-        Raise `ModelError` if it does not fit the actuator: the memory is unchanged.
+        Raise `ModelError` if the state does not fit the actuator: the memory is unchanged.
         """
         pairs = zip(self._axes, for_each(state, len(self._axes), "state"), strict=True)
         axes = [replace(axis) if own is None else replace(axis, given=own, assumed=False) for axis, own in pairs]
@@ -294,11 +294,11 @@ class Compensator:
     def restore(self, snapshot: Any) -> None:
         """Continue from a `snapshot`, or from the block of `dehyst_loop_save` in C.
 
-        Its actuator has the same shape if breakaway elongations, time constants of creep, lengths of smooth elements,
+        Two actuators have the same shape if breakaway elongations, time constants of creep, lengths of smooth elements,
         resonance, lag and period agree; stiffnesses, spring and transformer may differ, as after `dehyst.update`. The
         next voltages follow this model as fast as the slew rate allows. Raise `ModelError` if the snapshot belongs to
-        an actuator of another shape, another period or preview, lies outside of the limits, or is damaged: the loop is
-        unchanged.
+        an actuator of another shape, has another period or preview, lies outside of the limits, or is damaged: the loop
+        is unchanged.
         """
         restore_all(self._axes, [snapshot] if self._single else snapshot)
 
@@ -315,7 +315,7 @@ class Compensator:
         gain, offset : float, or one per axis, optional
             Gain, and offset [m, or `units`]; without a gain nothing changes.
         temperature : float, or one per axis, optional
-            [degC], instead of them: of the actuators that depend on temperature. Others keep gain and offset.
+            [degC], instead of `gain` and `offset`. Actuators that do not depend on temperature keep both.
 
         Returns
         -------
@@ -386,7 +386,7 @@ def only_axis(compensator: object) -> Axis:
 
 
 def _within_loops(axis: Axis) -> State:
-    """Return the state of an axis of a stage, by default one that voltages within the limits reach."""
+    """Return the state of an axis of a stage; if it is assumed, a state that voltages within the limits reach."""
     return state_after_loops(axis.actuator, axis.given, axis.limits) if axis.assumed else axis.given
 
 

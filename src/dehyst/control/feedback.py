@@ -1,4 +1,4 @@
-"""Feedback: an integral of the error of a sensor, ahead of the compensator."""
+"""Feedback: an integral of the measured error, ahead of the compensator."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from dehyst.control.limits import SensorFault, sensor_bound, warn_of_sensor
 
 
 class Feedback:
-    """An integral of the error ahead of a compensator, for a sensor that is there while the stage moves.
+    """An integral of the error ahead of a compensator, for a sensor that can be read while the stage moves.
 
-    Each reading takes away a share `gain` of the error: wanted less measured displacement, or with clamped voltages
-    what the sensor says more or less than the model. Nothing winds up, as the model knows the voltages that were really
-    sent. Without a reading the correction is held, so that a sensor may be slower than the loop; after a cycle of the
-    path without one, its mean stays. If the mismatch between sensor and model grows on a path that repeats, three
-    cycles go without a correction, to see whether it is an echo of a sensor that is late by whole cycles::
+    Each reading removes a share `gain` of the error: wanted minus measured displacement, or the difference of model and
+    sensor while voltages are clamped. The integral does not wind up, because the model knows the voltages that were
+    really sent. A sensor may be slower than the loop: without a reading the correction is held, and after a cycle
+    without a reading its mean stays. If sensor and model disagree more and more on a path that repeats, three cycles
+    have no correction: they show whether the sensor is late by whole cycles::
 
         feedback = dehyst.Feedback(compensator)
         for wanted in path:
@@ -31,25 +31,25 @@ class Feedback:
     Parameters
     ----------
     compensator : Compensator
-        With a period. It is stepped by this feedback, and by nobody else. With `preview` its delay and resonance are
+        A compensator with a period, which only this feedback steps. With `preview`, its delay and resonance are
         compensated, and the gain is higher.
     margin_db : float, optional
         Gain margin [dB] with the identified resonance, see `Actuator.margins`.
     bound : float, optional
-        Largest correction [`units` of the compensator], and the farthest that a reading may be from the model: one
-        beyond counts as missing. Default: a twentieth of the compensator's reach.
+        Largest correction [`units` of the compensator], and the largest distance of a reading from the model: a reading
+        farther away counts as missing. Default: a twentieth of the compensator's reach.
 
     Attributes
     ----------
     compensator, bound
         As given.
     gain : float
-        Share of the error that each reading takes away.
+        Share of the error that each reading removes.
     bandwidth : float
         Frequency [Hz] below which disturbances are reduced by 3 dB or more, with a reading each period.
 
-    Raise `ModelError` if the compensator has no period, the bound is not up to a quarter of the reach, or a delay has
-    more than 63 periods.
+    Raise `ModelError` if the compensator has no period, the bound is not within 0 and a quarter of the reach, or a
+    delay has more than 63 periods.
     """
 
     def __init__(self, compensator: Compensator, margin_db: float = 6.0, *, bound: float | None = None) -> None:
@@ -68,10 +68,10 @@ class Feedback:
         """Return the voltage [V] to send for a `wanted` displacement [m, or `units`], and commit it.
 
         `measured`: the displacement [m, or `units`] after all voltages sent so far, or None if there is no reading. A
-        value that is not finite counts as none.
+        value that is not finite counts as no reading.
 
-        Raise `ModelError` as `Compensator.step`: nothing has changed. Warn `ClampWarning` as that, and `SensorWarning`
-        once, when the sensor is not believed any more.
+        Raise `ModelError` as `Compensator.step`: the memory is unchanged. Warn `ClampWarning` as `Compensator.step`,
+        and `SensorWarning` once, when the sensor is no longer believed.
         """
         believed = self.believed
         if self._loop is not self.compensator._axes[0].loop:
@@ -95,7 +95,7 @@ class Feedback:
 
     @property
     def correction(self) -> float:
-        """What is added to the wanted displacement [m, or `units`]."""
+        """The displacement [m, or `units`] that is added to the wanted one."""
         return self._core.correction * self._axis.per_metre
 
     @property

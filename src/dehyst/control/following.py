@@ -22,7 +22,7 @@ _ANY = float(np.finfo(np.float64).max)
 # The code of `Loop.trace` for an offer that was not clamped.
 _NOT_CLAMPED = 1
 _ROUNDING = 1e-12
-# Most runs of equal steps for which a loop is set up.
+# Largest number of runs of equal steps for which a loop is set up.
 _FEW = 64
 
 
@@ -53,10 +53,10 @@ def follow(
 ) -> Followed:
     """Return the voltages of a path (n,) [m] from a `state`, by default the present one; the memory is unchanged.
 
-    `present` [V]: before the first sample, by default the voltage that holds a given `state`, or else the last one
-    sent. `time` (n,) [s]: needed with a slew rate, and by an actuator that depends on time; default: a sample every
-    period. `period` [s]: from the present voltage to the first sample, if it is shorter than the first step; default:
-    that of the axis. `temperature` [degC]: replaces gain and offset of the axis. `velocity` [m/s],
+    `present` [V]: before the first sample; default: the voltage that holds a given `state`, without one the last
+    voltage sent. `time` (n,) [s]: needed with a slew rate, and by an actuator that depends on time; default: a sample
+    every period. `period` [s]: time from the present voltage to the first sample, if shorter than the first step;
+    default: that of the axis. `temperature` [degC]: replaces gain and offset of the axis. `velocity` [m/s],
     `acceleration` [m/s^2]: as in `Actuator.compensate`.
     """
     wanted = vector(displacement, "displacement")
@@ -90,14 +90,14 @@ def _follow(
     """Return the voltages of a path of the model (n,) [m]; `rates`: its velocity and its acceleration."""
     steps = limits.steps(wanted.size, time, period)
     path, state = _Path(actuator, wanted, time, *rates), evaluator_of(actuator).complete_state(start)
-    # Raises if the time is missing or does not fit. With few runs of equal steps and without dynamics, the samples
-    # after a clamped one are computed step by step.
+    # `clock` raises if the time is missing or does not fit. With few runs of equal steps and without dynamics, the
+    # samples after a clamped one are computed step by step.
     moves, rings = evaluator_of(actuator).has_dynamics, False
     steps_on = path.clock[1].size <= _FEW and not moves
     voltage, reached = np.empty_like(wanted), np.empty_like(wanted)
     clamped = np.zeros(wanted.size, dtype=bool)
     i, chunk = 0, _CHUNK
-    # A state that the sent voltages give, and the sample after it.
+    # The state after the voltages that were sent, and the number of the next sample.
     real, after = state, 0
     while i < wanted.size:
         stop = min(i + chunk, wanted.size)
@@ -110,7 +110,7 @@ def _follow(
         chunk, rings = (_CHUNK, moves) if changed.size else (2 * chunk, rings)
         begin, i = i, min(end + 1, stop)
         if rings:
-            # A clamped mass is not at the wanted displacement, and moves the elements.
+            # After a clamped voltage, a mass is not at the wanted displacement, and moves the elements.
             state = real = path.simulate(voltage, after, i, real)[1]
             after = i
         elif not changed.size:

@@ -22,7 +22,7 @@ from dehyst.model import Actuator, Range, major_loop, voltage_error
 TIME_NEEDED = "give the time [s] of each sample, or the period [s] between them"
 # A path in another unit than metres and below this part of the reach is probably in metres.
 _TINY = 1e-6
-# Parts of the range of the recorded voltages: voltages farther outside are not tested; noise is not outside.
+# Parts of the recorded range by which a voltage exceeds it: above the first it is far outside, below the second noise.
 _FAR, _NOISE = 0.1, 1e-3
 # Bounds of the correction by a sensor, as parts of the reach: default and largest.
 _BOUND, _WIDEST = 0.05, 0.25
@@ -101,14 +101,14 @@ class VoltageLimits:
         first = [*intervals[:1], *([] if period is None else [period])]
         if size and not first:
             raise ModelError(
-                "a slew rate needs the time since the voltage before, which one sample does not give",
-                hint="give two at least, or no slew rate",
+                "a slew rate needs the time since the voltage before, which a single sample does not give",
+                hint="give two samples at least, or no slew rate",
                 change=("slew_rate",),
             )
         return self.slew_rate * np.concatenate([[min(first, default=0.0)], intervals])[:size]
 
     def allowed(self, voltage: Array, before: float, steps: Array) -> Array:
-        """Return a wanted `voltage` (n,) [V], clipped; it is correct up to and including the first changed sample.
+        """Return a wanted `voltage` (n,) [V], clipped; the result holds up to and including the first changed sample.
 
         `before`: last voltage sent [V]. `steps` (n,): largest allowed step before each sample [V].
         """
@@ -171,7 +171,7 @@ def outside_identified(
 class ClampWarning(UserWarning):
     """A wanted displacement was not followed: its voltage was clamped at a limit or slewed.
 
-    `before`: voltage [V] from which the slew rate counted: of the state, until one was sent.
+    `before`: last voltage [V] sent, from which the slew rate counts; at the first sample, the voltage of the state.
     """
 
     def __init__(self, words: str, before: float | None = None) -> None:
@@ -229,7 +229,7 @@ def sensor_bound(width: float, bound: float | None) -> float:
 
 
 class Clamps(NamedTuple):
-    """Number of samples whose voltage was clamped at a limit, and number of those slewed."""
+    """Number of samples whose voltage was clamped at a limit, and number of slewed samples."""
 
     limited: int
     slewed: int
@@ -238,9 +238,9 @@ class Clamps(NamedTuple):
 def warn_of_clamps(
     actuator: Actuator, limits: VoltageLimits, axis: str, words: str, displacement: Array, before: float
 ) -> None:
-    """Warn the caller in these `words` of voltages that are clamped, of an `axis` if there are several.
+    """Warn the caller in these `words` of clamped voltages; `axis`: its name if there are several.
 
-    `before`: the voltage before [V]. If the wanted displacements (n,) [m] are implausible, say why.
+    `before`: the last voltage sent [V]. If the wanted displacements (n,) [m] are implausible, say why.
     """
     stray = stray_sentence(actuator, limits, displacement)
     words = f"{axis and f'{axis}: '}{words}{stray and f'. {stray}'}"

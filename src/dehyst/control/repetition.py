@@ -17,20 +17,20 @@ from dehyst.model import Actuator, State, mechanical_response
 
 # Part of the error that one cycle corrects.
 _GAIN = 0.6
-# The displacement follows a harmonic of the path if it misses less than a share of it and of those below, down to a
-# part of it; the path has them if they hold a share of its energy.
+# The displacement follows a harmonic if its error in a band is less than this share of the wanted motion; the band
+# extends down to this part of the harmonic. A band with less than this share of the energy shows nothing.
 _FOLLOWS, _BAND, _KNOWN = 0.5, 0.7, 1e-7
-# The first step elsewhere: this share of the whole error, over what a resonance could make of the step in a cycle.
+# First step at other harmonics: this share of the whole error, over the gain of an unknown resonance in a cycle.
 _STEP = 0.15
-# A wrong response misses the step, and by this share of the harmonic; then there is so much less gain, else more.
+# A response is wrong if it misses the step and this share of the harmonic; factors of the gain if wrong, if right.
 _WRONG, _SLOWER, _FASTER = 0.1, 0.25, 2.0
 # Longest gap between readings, as a share of the cycle.
 _GAP = 0.05
 # The correction ends at this multiple of the resonance; harmonics of the error count above this multiple of
 # the noise.
 _RESONANCE, _ABOVE_NOISE = 1.2, 3.0
-# An RMS error above this multiple of the least, and this share of the first one, takes the step back; it takes back the
-# whole correction if the best cycle, played again, is no better than the first.
+# A step is taken back if the RMS error exceeds this multiple of the least one and this share of the first one. The
+# whole correction is taken back if the best cycle, played again, is no better than the first.
 _WORSE, _NEAR = 1.2, 0.3
 # A change of the RMS error is significant above this part of it and this number of standard errors of the noise.
 _CHANGE, _ERRORS = 0.02, 3.0
@@ -53,17 +53,16 @@ class _Cycle(NamedTuple):
 class Repetition:
     """A path that is repeated: each cycle corrects the wanted displacement by the error of the cycle before.
 
-    Hysteresis and creep are the compensator's; what is left of the error is learnt::
+    The compensator removes hysteresis and creep; the repetition learns the error that remains::
 
         repetition = dehyst.Repetition(compensator, path)
         for _ in range(10):
             repetition.learn(rig.play(repetition.next()))
 
-    A harmonic of the error is learnt as far as it is more than noise. The path shows up to which harmonic the
-    displacement follows, and so do records of several speeds. Above may be a resonance that the model does not know:
-    the first step is so small that no resonance can gain much in a cycle, and the next one is larger if the
-    displacement changed as it should, else the step is taken back. An identified resonance is expected, and the
-    correction ends just above it.
+    A harmonic of the error is learnt as far as it exceeds the noise. The path and records of several speeds show up to
+    which harmonic the displacement follows. Above, the model may lack a resonance: the first step is so small that no
+    resonance can grow much in a cycle. If the displacement changes as predicted, the next step is larger, else the step
+    is taken back. An identified resonance is part of the prediction; the correction ends just above it.
 
     A cycle counts if its readings are complete, no voltage was clamped, and the sensor is believed. If a
     cycle has an RMS error of more than 1.2 times the least, the best cycle is played again.
@@ -71,14 +70,14 @@ class Repetition:
     Parameters
     ----------
     compensator : Compensator
-        With a period. It is stepped by this repetition, and by nobody else. Without `preview`, identified delay and
-        resonance are learnt too.
+        A compensator with a period, which only this repetition steps. Without `preview`, identified delay and resonance
+        are learnt too.
     path : (n,) or (n, axes) array_like
         Wanted displacement [`units` of the compensator] of one cycle, a sample a period; after its last sample comes
         its first.
     bound : float, optional
-        Largest correction, and the farthest that a reading may be from the model [as `path`]: one beyond counts as
-        missing. Default: a twentieth of the compensator's reach, of the smallest axis.
+        Largest correction, and largest distance of a reading from the model [as `path`]: a reading farther away counts
+        as missing. Default: a twentieth of the smallest reach of the axes.
 
     Attributes
     ----------
@@ -95,7 +94,8 @@ class Repetition:
     Raises
     ------
     ModelError
-        If the compensator has no period, the path does not fit, or the bound is not up to a quarter of the reach.
+        If the compensator has no period, the path does not fit, or the bound is not within 0 and a quarter of the
+        reach.
     """
 
     def __init__(self, compensator: Compensator, path: ArrayLike, *, bound: float | None = None) -> None:
@@ -121,7 +121,7 @@ class Repetition:
         self.errors: list[float] = []
         self.fault = SensorFault.NONE
         self._cycle: _Cycle | None = None
-        # The best cycle; after a step that is taken back it is played and measured again, and then the path alone.
+        # The best cycle; after a step is taken back, it is played and measured again, then the path without correction.
         self._best: _Cycle | None = None
         self._returned = 0
         # Aim, displacement and step of the last cycle by harmonics, and the gain of each.
@@ -134,7 +134,7 @@ class Repetition:
         # The harmonic at which the correction ends.
         rings = [_RESONANCE * seconds * part.dynamics.frequency for part in axes if part.dynamics is not None]
         self._highest = min([0.5 * len(self.path), *rings])
-        # The response of the axes to what is wanted, and the one after a cycle at a resonance that nobody knows.
+        # The response of the axes to the wanted displacement, and the gain of an unknown resonance within a cycle.
         moves = [mechanical_response(part.dynamics, part.delay, harmonic[:, 0] / seconds) for part in axes]
         previews = [axis.previews for axis in self.compensator._axes]
         self._moves = np.where(previews, 1.0, np.column_stack(moves))
@@ -149,7 +149,7 @@ class Repetition:
         # The change of the correction is spread over a part of the cycle, so that nothing jumps.
         new = 0.5 - 0.5 * np.cos(np.pi * np.clip(np.arange(len(self.path)) / (_BLEND * len(self.path)), 0, 1))[:, None]
         aim = self.path + self._before + new * (self.correction - self._before)
-        # The next cycle begins with this correction.
+        # The samples ahead belong to the next cycle, which has this correction.
         ahead, following = self.compensator.samples_ahead, self.path + self.correction
         wanted = np.concatenate([aim, np.resize(following, (ahead, aim.shape[1]))])[ahead:]
         voltage = self.compensator.run(wanted[:, 0] if self._single else wanted)
@@ -160,9 +160,9 @@ class Repetition:
         return voltage
 
     def learn(self, measured: ArrayLike) -> bool:
-        """Learn from the displacements (n,) or (n, axes) that the voltages of `next` led to; return whether it did.
+        """Learn from the displacements (n,) or (n, axes) that the voltages of `next` caused; return whether it learnt.
 
-        NaN is no reading; up to a twentieth of a cycle may lie between two of them, as of a slow sensor.
+        NaN: no reading. A slow sensor may leave up to a twentieth of a cycle between two readings.
 
         Raises
         ------
@@ -222,16 +222,16 @@ class Repetition:
         return table.astype(np.float64)
 
     def _improve(self, cycle: _Cycle, error: Array, gap: int) -> bool:
-        """Judge a cycle by its error, and correct the next one; return whether it does."""
+        """Judge a cycle by its error, and correct the next one; return whether it learnt."""
         spectrum = np.fft.rfft(error, axis=0)
         size = np.abs(spectrum)
-        # The median of a Rayleigh distribution, of harmonics that hold noise alone.
+        # The upper harmonics are noise alone; their amplitudes have a Rayleigh distribution with this median.
         floor = np.median(size[len(size) // 2 :], axis=0) / np.sqrt(np.log(2))
         noise = _ERRORS * float(floor.max()) / len(error) / np.sqrt(2)
         best = self._best
         near = (_NEAR, 1.0, 1.0)[self._returned] * self.errors[0]
         if best is not None and self._returned < 2 and cycle.rms > max(_WORSE * best.rms + noise, near):
-            # The best cycle may have come before a resonance swung; a cycle without a correction excites none.
+            # A resonance may swing since the best cycle; a cycle without a correction excites no resonance.
             self._returned += 1
             self.correction = best.correction if self._returned == 1 else np.zeros(self.path.shape)
             self._last = None
@@ -245,7 +245,7 @@ class Repetition:
         return bool(by.any())
 
     def _step(self, cycle: _Cycle, spectrum: Any, floor: Array, gap: int) -> Any:
-        """Return what the next cycle adds to the correction, by harmonics (k, axes) of an error and their noise."""
+        """Return the change of the correction by harmonics (k, axes), from the error's `spectrum` and noise `floor`."""
         aim, moved = np.fft.rfft(cycle.aim, axis=0), np.fft.rfft(cycle.measured, axis=0)
         size, harmonic = np.abs(spectrum), np.arange(len(spectrum))[:, None]
         follows = harmonic <= self._follows_to(aim, moved)
@@ -271,7 +271,7 @@ class Repetition:
         return step
 
     def _follows_to(self, aim: Any, moved: Any) -> Array:
-        """Return the highest harmonic (axes,) up to which the displacement follows what is aimed at."""
+        """Return the highest harmonic (axes,) up to which the displacement follows the aim."""
         harmonic = np.arange(len(aim))
         wanted, below = self._moves * np.fft.rfft(self.path, axis=0), np.floor(_BAND * harmonic).astype(np.intp)
         sums = [np.cumsum(np.abs(part) ** 2, axis=0) for part in (moved - self._moves * aim, wanted)]
@@ -285,20 +285,20 @@ class Repetition:
 def _tested_to(actuator: Actuator) -> float:
     """Return half of the lowest frequency [Hz] of a resonance that the records of an `actuator` do not exclude.
 
-    A resonance at f0 adds (f / f0)^2 of a motion at f to it. The model has one gain for slow and fast branches, and so
-    the largest error of the records contains it.
+    A resonance at f0 enlarges a motion at f by a share of (f / f0)^2. The model has the same gain for slow and fast
+    branches, so the largest error of the records contains this difference.
     """
     tested = actuator.identification.validity if actuator.identification else None
     if tested is None or actuator.dynamics is not None:
         return 0.0
     paces = tested.rates, np.divide(tested.speeds, tested.span)
     faster = 0.5 * np.sqrt(min(fast**2 - slow**2 for slow, fast in paces))
-    # Records show 1e-4 of the stroke.
+    # An error below 1e-4 of the stroke is not visible in records.
     share = max(tested.largest / tested.stroke, 1e-4)
     return float(0.5 * min(faster / np.sqrt(2 * share), 1 / (np.pi * max(tested.lag_error, 1e-9))))
 
 
 def _longest_gap(there: Array) -> int:
-    """Return the most samples without a reading in a row, around the end too; all of them if there is no reading."""
+    """Return the length of the longest gap between readings, also across the end; without a reading, all samples."""
     at = np.flatnonzero(there)
     return len(there) if not at.size else int(np.diff(np.append(at, at[0] + len(there))).max()) - 1

@@ -418,11 +418,11 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
         steady=record.steady,
         starts=starts,
         settled_largest=float(np.quantile(np.abs(settled.residual), 1 - _OUTLIERS, method="lower")),
-        settled_rms=max(rms(settled.residual), along_the_way(settled)),
+        settled_rms=max(rms(settled.residual), rms_over_travel(settled)),
     ), whole
 
 
-def along_the_way(trace: Trace) -> float:
+def rms_over_travel(trace: Trace) -> float:
     """Return the RMS residual [m] over the travel of the voltage, in which fast branches count like slow ones."""
     way = np.abs(np.diff(trace.voltage, prepend=trace.voltage[0])) + 1e-300
     return float(np.average(trace.residual**2, weights=way) ** 0.5)

@@ -34,11 +34,11 @@ from dehyst.waveforms import Branch, Excitation, Sampling
 
 # Least duration of a branch of a homing [s].
 FASTEST_BRANCH = 0.5
-# The error of a good model, as a part of the range of the spring's knots; to leave less, creep would take long.
+# The error of a good model, as a part of the range of the spring's knots; with creep, a smaller error would take long.
 _TOLERANCE = 1e-3
 # Duration of a branch: as a part of the longest time constant; at least this number of periods of a resonance.
 _BRANCH, _PERIODS = 0.05, 50.0
-# A mass and a lag are at rest after this many of their time constants.
+# A mass and a lag are at rest after this number of their time constants.
 _RESTS = 12.0
 # Number of samples of a branch in rough simulations; least number of samples of a cycle of a `Sampling`.
 _SAMPLES, _LEAST_CYCLE = 60, 8
@@ -62,7 +62,7 @@ class Homing:
         Voltages [V] to visit in this order, monotonically; the first one is the present voltage. If the state is known
         already, it is the only one.
     state : State
-        State at the end: the middle of those that simulations from the states that bound all histories reach.
+        State at the end: the middle of the states that simulations reach from the states that bound all histories.
     certified : bool
         Whether `spread` is within the tolerance.
     remarks : tuple of str
@@ -103,15 +103,15 @@ def shortest_homing(
     limits : (float, float), optional
         Lowest and highest voltage [V]; default the actuator's.
     present : float, optional
-        Present voltage [V], to which it comes back.
+        Present voltage [V], to which the homing returns.
     tolerance : float, optional
         Allowed difference of the displacement [m] of any two histories; default: 1e-3 of the spring's range.
     drive : Sampling, optional
         Speed and shape of the branches; default: 50 s, or a twentieth of the longest creep time constant, and at least
         fifty periods of a resonance.
     within : float, optional
-        Longest duration [s], with shorter holds, and with branches as fast as slew rate and sample rate allow; default:
-        as long as the tolerance requires.
+        Longest duration [s]: holds become shorter, and branches as fast as slew rate and sample rate allow; default: as
+        long as the tolerance requires.
     past : (float, float), optional
         Range of all voltages before [V]; default: the limits.
 
@@ -210,7 +210,7 @@ class _TimedHoming:
             )
         if not keeps_order(self.actuator):
             yield (
-                f"simulated from {len(self.states)} extreme and random histories to end in a known state, not proven: "
+                f"a known end is simulated from {len(self.states)} extreme and random histories, but not proven: "
                 f"this actuator {reasons}"
             )
 

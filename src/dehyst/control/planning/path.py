@@ -55,36 +55,36 @@ def plan_path(
 ) -> PathPlan:
     """Plan the voltages of a path that is known ahead, with a homing before it if the start matters.
 
-    The path has its own speed within limits and slew rate; jumps, homings and ways to it are no faster than the model's
-    records. Several axes are homed simultaneously: an axis with a shorter homing waits at its present voltage.
+    The path keeps its own speed within limits and slew rate; jumps, homings and ways to it are no faster than the
+    model's records. Several axes are homed simultaneously: an axis with a shorter homing waits at its present voltage.
 
     Parameters
     ----------
     model : Actuator, Stage or Compensator
         A compensator gives limits, slew rates, units and `scale`; its state has no effect.
     path : (n,) or (n, axes) array_like
-        Wanted displacement [m, or `units` of the compensator], as its sensor shows it.
+        Wanted displacement [m, or `units` of the compensator], as the sensor reads it.
     time : (n,) array_like, optional
         [s], strictly increasing; needed with a slew rate, and by an actuator with creep, dynamics or a lag. Default: a
         sample every `period`, if the compensator has one.
     limits, slew_rate : optional
         As in `Compensator`; only for an actuator or a stage.
     temperature : float, (n,) or (n, axes) array_like, optional
-        [degC]; default: not known, and the compensator's `scale` counts. Without `thermal` it is only compared with the
-        records'.
+        [degC]; default: not known, and the compensator's `scale` applies. Without `thermal` it is only compared with
+        that of the records.
     start : PossibleStart or State, or one per axis, optional
         The state before the path; default: unknown, at rest near the first sample.
     home : bool, optional
-        Whether a homing comes first, or of a known start the way alone. Default: if an unknown start leaves a larger
-        error along the path than the model's. Without it, a way leads from a given start or present voltage to a path
-        that one step does not reach.
+        Whether a homing comes first, or for a known start only the way. Default: yes if an unknown start leaves a
+        larger error along the path than the model has. Without a homing, a way leads from a given start or present
+        voltage to the path, if one step does not reach it.
     home_within : float, optional
-        Longest duration of homing and way [s]; a shorter one leaves a larger error of the start. Default: as necessary.
+        Longest duration of homing and way [s]; a shorter homing leaves a larger error. Default: as necessary.
     present : float, or one per axis, optional
         Present voltage [V] of an unknown start, where the homing or the way begins. Default: 0 V or the nearest limit;
-        without a homing, if none is given, at the first sample.
+        without a homing, the voltage of the first sample.
     on_time : bool, optional
-        Whether the voltage leads by the actuator's delay. Default: if the actuator lags by the identification.
+        Whether the voltage leads by the actuator's delay. Default: yes if the actuator lags by the identification.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def plan_path(
         If the arrays do not fit, a time is missing, the path lies more than one stroke outside of the reach, or the
         present voltage lies outside of the limits.
     RecordError
-        If the path is empty, no homing is short enough, or there would be more than 5e6 rows.
+        If the path is empty, no homing is short enough, or the plan would have more than 5e6 rows.
     """
     task = Task(_compensator_of(model, limits, slew_rate), path, "displacement", time, temperature)
     task.prepare(on_time, home_within)
@@ -110,7 +110,7 @@ def plan_voltage(
 ) -> PathPlan:
     """Return the displacement that a voltage (n,) or (n, axes) [V] causes; limits of a compensator do not count.
 
-    Default of `start`: unknown, at rest at the first voltage. Others, and errors, as in `plan_path`.
+    Default of `start`: unknown, at rest at the first voltage. Other parameters, and errors, are as in `plan_path`.
     """
     task = Task(_compensator_of(model, None, None), voltage, "voltage", time, temperature)
     task.give(start)
@@ -126,11 +126,11 @@ def plan_voltage(
 
 @dataclass(eq=False)
 class Part:
-    """One axis of a path: what is wanted of its actuator, and the plan as far as it was found.
+    """One axis of a path: the wanted motion of its actuator, and the plan as far as it is known.
 
-    `moved` (n,): voltage [V], or displacement [m] without coupling. `first`: the first one, of the model without gain
-    and offset. `past`: range of the voltages before [V]. `temperature` (n,) [degC]: of the actuator; `warmth`: if
-    it has an effect. `delay` [s]: by which the voltage leads; `late` [s]: by which the displacement lags. `start`,
+    `moved` (n,): voltage [V], or displacement [m] without coupling. `first`: its first value, for the model without
+    gain and offset. `past`: range of the earlier voltages [V]. `temperature` (n,) [degC]: of the actuator; `warmth`:
+    None without effect. `delay` [s]: by which the voltage leads; `late` [s]: by which the displacement lags. `start`,
     `present` [V]: as given. `way`: before the path. `found`: the voltages of the path. `error`: due to the start.
     """
 
@@ -166,7 +166,7 @@ class Part:
         self.remarks = (words.format(1e3 * delay),)
 
     def jumps(self, time: Array | None) -> bool:
-        """Return whether a path begins with a step that its slew rate does not allow, or a fast one unlike its own."""
+        """Return whether a path begins with a step that its slew rate does not allow, or an unusually fast step."""
         volts, found = self.way.last, self.found
         if volts is None or time is None:
             return False
@@ -186,7 +186,7 @@ class Part:
 
     @property
     def shown(self) -> State:
-        """Where the displacement along the way begins: for an unknown start a state within the limits."""
+        """The state in which the shown displacement begins: for an unknown start, a state within the limits."""
         if self.way.homing is None or not self.way.voltage.size:
             return self.way.origin
         return standing(self.loop.actuator, float(self.way.voltage[0]), self.loop.limits)
@@ -195,8 +195,8 @@ class Part:
 class Task:
     """A path [m] or a voltage [V] of one axis or several, as `rows` (n, axes) at `time` (n,) [s] or None.
 
-    `parts`: one per axis. `ahead`: rows added before the path, as voltages lead it. `rates`: velocity [m/s] and
-    acceleration [m/s^2] of the path of a single axis; by default those of its cubic spline.
+    `parts`: one per axis. `ahead`: number of rows before the path, because voltages lead it. `rates`: velocity [m/s]
+    and acceleration [m/s^2] of the path of a single axis; by default those of its cubic spline.
     """
 
     def __init__(
@@ -252,7 +252,7 @@ class Task:
             part.first, part.past = float(own[0]), past_of(part.loop, own)
 
     def prepare(self, on_time: bool | None, home_within: float | None) -> None:
-        """Let the voltages lead the path by the delays of the actuators, where these lag; else say that it is late.
+        """Let the voltages lead the path by the delays of actuators that lag; else remark that the path is late.
 
         `home_within` [s]: the longest time of homing and way.
         """
@@ -306,7 +306,7 @@ class Task:
             self.follow()
 
     def home(self, *, again: bool) -> None:
-        """Follow the path after homings; `again`: also of a given start that is not known, which becomes useless."""
+        """Follow the path after homings; `again`: ignore a given start that is not known, and home too."""
         for part in self.parts:
             known = None if again and part.start and not part.start.known else part.start
             part.way = stand(part.loop, part.past, known, part.present, part.first, near=False)
@@ -334,7 +334,7 @@ class Task:
         options: dict[str, Any] = {"time": self.time, "period": self.parts[0].way.step, **self.rates}
         for name, part in zip(self.stage.axes, self.parts, strict=True):
             way, actuator = part.way, part.loop.actuator
-            # An actuator stands at the first sample, or is brought there; a mass moves with the path from there on.
+            # An actuator that stands begins at the first sample of the path; so does a mass, which moves with the path.
             brought = way.last is None or evaluator_of(actuator).has_dynamics
             state = state_at(actuator, way.state, part.first) if brought else way.state
             given: dict[str, Any] = {"state": state, "present": way.last, "temperature": part.warmth}
@@ -364,7 +364,7 @@ class Task:
         return apply(self.stage.coupling, np.column_stack(moved)), states
 
     def misses(self) -> Array:
-        """Return how far the model misses the path (n, axes) [m], when the displacement shows it."""
+        """Return the error of the model (n, axes) [m], at the times when the displacement shows the path."""
         if all(not part.delay and np.array_equal(part.found.displacement, part.moved) for part in self.parts):
             return np.broadcast_to(0.0, self.rows.shape)
         miss = []
@@ -452,7 +452,7 @@ class Task:
 
 
 def extended(temperature: Array | None, rows: int) -> Array | None:
-    """Return a temperature (n,) [degC] after `rows` of its first value."""
+    """Return a temperature (n,) [degC], preceded by `rows` of its first value."""
     return None if temperature is None else np.concatenate([np.full(rows, temperature[0]), temperature])
 
 
@@ -462,5 +462,5 @@ def _compensator_of(model: Actuator | Stage | Compensator, limits: Any, slew_rat
         return Compensator(model, limits, slew_rate)
     for name, value in {"limits": limits, "slew_rate": slew_rate}.items():
         if value is not None:
-            raise ModelError(argument=name, got="some beside a compensator, which has its own", hint="leave them out")
+            raise ModelError(argument=name, got="a value beside that of the compensator", hint="leave it out")
     return model

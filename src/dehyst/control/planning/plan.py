@@ -1,4 +1,4 @@
-"""The plan of a path: voltages to play, what they should cause, and what may be missed."""
+"""The plan of a path: its voltages, the displacement that they should cause, and the error that it may have."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class PathPlan:
     """The voltages for a path: a homing if necessary, the way to the first sample, and the path itself.
 
     For several axes, arrays of displacements and voltages are (n, axes), and the entries that are marked with * are
-    tuples with one for each axis; `each` has the plan of each axis.
+    tuples with one value for each axis; `each` has the plan of each axis.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class PathPlan:
         displacement.
     expected : (n,) array
         Displacement of the model [m, or `units`]. It starts from the middle of the possible states; in a homing, where
-        the true one is unknown, from a state after slow loops between the limits.
+        the true state is unknown, from a state after slow loops between the limits.
     clamped : (n,) bool array
         Samples whose voltage was changed to keep limits and slew rate.
     state : State *
@@ -52,11 +52,11 @@ class PathPlan:
     error : StartError *
         Error along the path due to the unknown start, from simulations of the whole voltage from all possible states.
     promise : Promise or None *
-        Promised error of the path [m] from its start, with that of clamped voltages; None if the model does not hold
-        what its records tested.
+        Promised error of the path [m] from its start, with the error of clamped voltages; None if the model does not
+        contain what its records tested.
     failure : str
-        By how much voltages miss the path and why, if by more than the promise, or where there is none by more than a
-        thousandth of the range of the spring's knots, or if limits clamp all of them; else "", as for a given voltage.
+        A sentence on how far the voltages miss the path and why, if farther than the promise (without one: a thousandth
+        of the range of the spring's knots), or if limits clamp all voltages; else, and for a given voltage, "".
     warnings : tuple of str
         Remarks on the homing, on clamped voltages with the failure, on a delay, and on what the records do not test.
     temperature : (n,) array or None
@@ -161,12 +161,12 @@ class PathPlan:
 
 
 def shortfall(voltage: Array, clamped: Mask, limits: VoltageLimits, missed: float, *, followed: bool) -> str:
-    """Return a sentence on a path that is `missed` [m] by its voltages (n,) [V], or "".
+    """Return a sentence on voltages (n,) [V] that miss the path by `missed` [m], or "" if none is needed.
 
-    With clamped voltages it is a remark if the path is `followed`, else a failure.
+    With clamped voltages, the sentence is a remark if the path is `followed`, else a failure.
     """
     if not clamped.any():
-        # In this case only a mass or an amplifier can lag.
+        # If no voltage is clamped, only the lag of a mass or an amplifier can cause an error.
         left_behind = (
             f"the path is missed by up to {missed * 1e6:.4g} um, though nothing was clamped: it does not begin at the "
             "actuator's state, or moves or turns too fast for its sample rate"

@@ -32,7 +32,7 @@ class PossibleStart:
     states : tuple of State
         The state if it is known; else states that bound all possible states.
     remarks : tuple of str
-        Remarks on the voltages before.
+        Remarks on the earlier voltages.
     """
 
     name: str
@@ -70,10 +70,10 @@ class PossibleStart:
     ) -> StartError:
         """Return the error of a motion due to the start: the `actuator` is simulated from each possible state.
 
-        `voltage`: (n,) [V]. If the history is unknown, the actuator rests at the first one, after voltages within the
-        `limits` [V]. `time` (n,) [s]: needed with creep, dynamics or a lag. `first`: number of the first sample that
-        counts, such as the one after a homing. Raise `ModelError` if the voltage is not finite, or the time or a state
-        does not fit.
+        `voltage`: (n,) [V]. If the history is unknown, the actuator rests at the first voltage, after voltages within
+        the `limits` [V]. `time` (n,) [s]: needed with creep, dynamics or a lag. `first`: number of the first sample
+        that counts, such as the one after a homing. Raise `ModelError` if the voltage is not finite, or the time or a
+        state does not fit.
         """
         v, states = vector(voltage, "voltage"), self.states
         if self.name == "unknown" and v.size:
@@ -126,7 +126,7 @@ class PossibleStart:
         v = vector(voltage, "voltage")
         outside = outside_identified(actuator, v, limits, name=name)
         if not v.size:
-            raise ModelError(argument="voltage", got="no samples", need="those that were played before")
+            raise ModelError(argument="voltage", got="no samples", need="the voltages that were played before")
         before = possible_states(actuator, float(v[0]), limits)
         reached = tuple(actuator.simulate(v, time=time, state=state, extrapolate=True).state for state in before)
         return cls(name, reached, outside.warnings)

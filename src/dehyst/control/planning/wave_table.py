@@ -1,7 +1,7 @@
 """The wave table of a periodic scan: the plan of its repeated path, whose last cycle is the table.
 
 Without creep and smooth elements, all cycles from the second on are equal, because the first one wipes out all memory
-that the scan can wipe out. Creep and smooth elements settle slowly: the table is read off when it drifts no more.
+that the scan can wipe out. Creep and smooth elements settle slowly: the table is taken when it no longer drifts.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from dehyst.control.planning.ways import MOST_ROWS
 from dehyst.model import Actuator, State
 from dehyst.waveforms import ScanPath, positive
 
-# A drift that more cycles do not reduce to this part does not settle; allowed part of the creep that may be left.
+# A drift that more cycles do not reduce to this part does not settle; part of the tolerance that creep may use.
 _FALLS, _SAFE = 0.9, 0.95
 # Largest drift of a repeated cycle, as a part of the stroke.
 _TOLERANCE = 1e-4
-# How many numbers of cycles are tried.
+# Number of cycle counts that are tried.
 _COUNTS = 400
 
 
@@ -59,18 +59,18 @@ class WaveTable:
     cycle : Cycle
         One period in its steady cycle.
     plan : PathPlan
-        The plan of homing, way, cycles of start-up and the cycle once, closed: play it but for its last sample, and
-        then the cycle. Its promise is that of the table.
+        The plan of homing, way, cycles of start-up and one closed cycle: play it without its last sample, and then the
+        cycle. Its promise is that of the table.
     cycles : int
         Cycles in the start-up, after which the cycle may be played.
     error : float
-        By how much the cycles drift [m] when they are repeated, by the model.
+        Drift [m] of the repeated cycles, by the model.
     tolerance : float
         Largest allowed drift [m].
     state : State or None
         State at the first sample of the cycle.
     warnings : tuple of str
-        Deviations from the request, in sentences: those of the plan, and on cycles that drift.
+        Deviations from the request, in sentences: those of the plan, and one on cycles that drift.
     """
 
     cycle: Cycle
@@ -117,10 +117,10 @@ def wave_table(
     start, home_within, present
         As in `plan_path`.
     home : bool, optional
-        Whether the shortest homing comes first; default: unless there is a `start`.
+        Whether the shortest homing comes first; default: yes, unless there is a `start`.
     cycles : int, optional
         Cycles in the start-up; by default as many as the tolerance requires, in at most 5e6 samples. Give all axes of a
-        scan the same: the value of the slowest axis.
+        scan the same number, that of the slowest axis.
     tolerance : float, optional
         Largest drift of the repeated cycle [m]; by default 1e-4 of the stroke.
 
@@ -163,14 +163,14 @@ def _task(compensator: Compensator, path: ScanPath, cycles: int, home_within: fl
 
 
 def _last_cycle(task: Task, path: ScanPath, count: int, least: float) -> tuple[WaveTable, int]:
-    """Return the last cycle of a planned path as a table after `count` cycles, and the cycles that it lacks.
+    """Return the last cycle of a planned path as a table after `count` cycles, and the number of cycles that it lacks.
 
-    It may drift by `least` [m]. If it drifts by more and no start-up suffices, the table lacks none.
+    The table may drift by `least` [m]. If it drifts by more and no start-up suffices, the number is 0.
     """
     (part,), size = task.parts, len(path)
     _close(task, size)
     closed, expected = part.found.voltage[-size - 1 :], part.found.displacement[-size - 1 : -1]
-    # Three cycles more show how it drifts; then each branch of creep has moved by a share of the way to its end.
+    # Three further cycles show the drift: each branch of creep moves by a share of its remaining way.
     actuator, state = part.loop.actuator, part.found.state
     played, states = [], [state]
     for _ in range(3):

@@ -21,8 +21,8 @@ from dehyst.waveforms import Branch, Sampling, volts
 
 # Least number of samples of a branch at the path's sample rate; number of samples of a branch if a path has no time.
 _FEWEST, _TIMELESS = 25, 100
-# Share of the range of the spring's knots: a homing in time must leave no more, if the model is better than that; and
-# where there is no promise, a path that is missed by more is not followed.
+# Part of the range of the spring's knots: the error that a homing may leave if the model has a smaller one; and the
+# largest error of a path that counts as followed without a promise.
 TOLERANCE = 1e-3
 # Creep on the way to the first sample changes its voltage: therefore the way is computed this number of times.
 _ROUNDS = 3
@@ -37,7 +37,7 @@ MOST_ROWS = 5_000_000
 class Way(NamedTuple):
     """How an actuator stands before a path, or its homing and way to the first sample, excluding this sample.
 
-    `start`: the possible states before; `origin`: the one from which the way is simulated; `state`: at the end.
+    `start`: the possible states before; `origin`: the state from which the way is simulated; `state`: at the end.
     `remarks`: on the homing, in sentences. `voltage` (k,) [V] at `time` (k,) [s]. `goal` [V]: voltage at the first
     sample of the path, `seconds` after the first row. `last` [V]: voltage `step` [s] before this sample; None if the
     actuator stands there. `waits`: time [s] at the first voltage, for the homings of other axes.
@@ -123,7 +123,7 @@ def way_to(
         homing = played_homing(actuator, drive, past, least, max(within - ramp.size * step, step))
         ramp, goal, reached = _ramp(actuator, drive, past, homing.state, first)
         if (seconds := homing.played.duration + ramp.size * step) > within + 2 / homing.played.sample_rate:
-            # A little more, so that the number suffices as it is written.
+            # A little more, because the message rounds the number.
             need = f"{1.001 * seconds:.4g} s at least, by the slew rate or the sample rate"
             raise RecordError(argument="home_within", got=f"{within:g} s", need=need)
     remarks = (*before.remarks, *homing.remarks)
@@ -135,7 +135,7 @@ def way_to(
 
 
 def simultaneous(ways: list[Way]) -> list[Way]:
-    """Return ways that begin and end simultaneously: one that is shorter waits before at its first voltage."""
+    """Return ways that begin and end simultaneously: a shorter way first waits at its first voltage."""
     ahead = np.unique(np.concatenate([way.time - way.seconds for way in ways]))
     # Rows of two axes at one time may differ by rounding.
     ahead = ahead[np.diff(ahead, append=0.0) > _ROUNDING * np.abs(ahead).max(initial=0.0)]
@@ -175,7 +175,7 @@ def _before_path(homed: Way, ramp: Array, rate: float, rows: int) -> Way:
 def _ramp(
     actuator: Actuator, drive: Sampling, past: tuple[float, float], state: State, first: float
 ) -> tuple[Array, float, State]:
-    """Return the voltages [V] before the first sample [m] of a path, its own voltage, and the state before it.
+    """Return the voltages [V] before the first sample [m] of a path, the voltage at it, and the state before it.
 
     The way is as fast as a branch through the `past` [V], or slower, so that a mass and an amplifier can follow.
     """
@@ -210,7 +210,7 @@ def played_homing(actuator: Actuator, drive: Sampling, past: Any, tolerance: flo
     `within`: as in `shortest_homing`.
     """
     rate = drive.rate
-    # A long homing has a sample rate of its own: that of the path over a whole number.
+    # A long homing has a lower sample rate: that of the path, divided by a whole number.
     needed = 2 * _BRANCH_SAMPLES * max(drive.frequency, 0.0 if within is None else 2 / max(within, 1 / rate))
     if actuator.dynamics is not None:
         needed = max(needed, _RESONANCE_SAMPLES * actuator.dynamics.frequency)
