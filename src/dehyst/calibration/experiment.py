@@ -27,9 +27,9 @@ from dehyst.waveforms import Excitation
 
 # Names of the model's file beside the folder of records: for one axis, and for several.
 RESULT, STAGE_RESULT = "model.json", "stage.json"
-# A change of the temperature [K], and changes in the check of the last record, that are remarked.
+# Changes that cause a remark: of the temperature [K], and in the check of the last record.
 _WARMS, _DRIFTS = 0.5, {"gain", "zero", "drift"}
-# A readback that differs from what was sent by this share is remarked.
+# A readback that differs from the voltage sent by more than this share causes a remark.
 _READS = 0.005
 
 
@@ -37,12 +37,12 @@ _READS = 0.005
 class Calibration:
     """The result of a calibration.
 
-    `fit`: a Fit, or a StageFit of several axes; these have no `insight`. `nominal` and `compensated`: the measured path
-    with a constant ratio and with the model; `checked`: the check of each axis by the record of the latter. `goal`:
-    allowed error on the path [% of the stroke]. `remarks`: sentences on a rig that warms or drifts, and on where the
-    voltage could not follow. `training`: the record of the identification; records in `kept` were on disk already,
-    those in `played` were played; files in `aside` were there too, but cut off, damaged, or of another plan.
-    `instrument`: the rig with its axes and limits.
+    `fit`: a Fit, or for several axes a StageFit, without an `insight`. `nominal` and `compensated`: the measured path
+    with a constant ratio and with the model; `checked`: the check of each axis by the record of `compensated`. `goal`:
+    allowed error on the path [% of the stroke]. `remarks`: sentences on a rig that warms or drifts, and on voltages
+    that could not follow the path. `training`: the record of the identification; `kept`: records that were on disk
+    already; `played`: records that were played. `aside`: files in the folder that were cut off, damaged, or of another
+    plan. `instrument`: the rig with its axes and limits.
     """
 
     fit: Fit | StageFit
@@ -105,7 +105,7 @@ def calibrate(
     rig : AbstractRig
         The rig; its actuator, or each of several axes, is driven through its limits.
     folder : path
-        Folder of the results. Records in it that are whole, of the same plan and instrument, are not played again.
+        Folder of the results. Complete records in it, of the same plan and instrument, are not played again.
     plan : Plan, optional
     watcher : ProgressListener, optional
         Receives the progress.
@@ -185,7 +185,7 @@ def _calibrated(
 def _identified(
     rig: AbstractRig, training: Record, listener: ProgressListener
 ) -> tuple[Fit | StageFit, Insight | None]:
-    """Identify the record; of one axis, assess what it determines too."""
+    """Identify the record; for a single axis, also assess what the record determines."""
     listener.step("identify")
     fit: Any = identify(training, progress=listener.message)
     if len(rig.axes) > 1:
@@ -196,7 +196,7 @@ def _identified(
 
 
 def _remarks(records: Sequence[Record], checked: Sequence[Recheck], sent: Array) -> Iterator[str]:
-    """Remark a rig that warms, drifts, or measures in a wrong unit, by its records and the check of the last one.
+    """Yield remarks if the rig warms, drifts or reads in a wrong unit, by its records and the check of the last record.
 
     `sent` (n,) or (n, axes) [V]: the voltages of the first record.
     """
@@ -204,7 +204,7 @@ def _remarks(records: Sequence[Record], checked: Sequence[Recheck], sent: Array)
         out, read = sent.reshape(len(sent), -1)[:, j], records[0].axis(j).voltage
         factor, where = float(np.polyfit(out, read, 1)[0]), f"Axis {axis}" if axis else "The rig"
         if abs(factor - 1) > _READS:
-            yield f"{where} reads {factor:.4g} V for each volt sent: calibrate the readback, or return what was sent."
+            yield f"{where} reads {factor:.4g} V per volt sent: calibrate the readback, or return the sent voltage."
     warmth = [record.temperature for record in records if record.temperature is not None]
     if warmth and np.ptp(np.concatenate(warmth)) > _WARMS:
         low, high = min(map(np.min, warmth)), max(map(np.max, warmth))

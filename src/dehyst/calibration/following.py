@@ -19,7 +19,7 @@ from dehyst.model import Actuator, Stage, stroke_of
 from dehyst.records import beyond_noise
 from dehyst.waveforms import Excitation
 
-# Learning ends when none of the last repetitions lowered the RMS error by this part.
+# Learning ends when this number of repetitions did not lower the RMS error by this part.
 _LAST, _LOWER = 3, 0.03
 
 
@@ -32,7 +32,7 @@ def _clamps_of(plan: PathPlan, bounds: Sequence[VoltageLimits]) -> Clamps:
 
 
 def _apart(path: TrackedPath, most: float) -> Array:
-    """Return the error (n,) [m] without its mean and a constant delay of `most` seconds, early or late."""
+    """Return the error (n,) [m] without its mean and a constant delay of up to `most` seconds, early or late."""
     error = path.error - path.error.mean()
     speed = np.gradient(path.wanted, path.time) if most and path.time.size > 1 else np.zeros(error.size)
     speed -= speed.mean()
@@ -44,12 +44,12 @@ def _apart(path: TrackedPath, most: float) -> Array:
 class FollowedPath:
     """A path `wanted` (n, axes) [m] at a `rate` [Hz] on a `rig` by a `model`, within `bounds` of each axis.
 
-    Its first `size` samples are compared; the rest is a way back. `temperature` [degC] of the path, (n,) or a number.
-    `listener` receives the progress, `say` a line on each repetition; `judge` may refuse the plan before anything
-    moves. `follow` sets: `tracked`, the measured path of each repetition, and `best`, the best that was learnt, else
-    the last; `promises` of each axis, None without one; `noise` [m] of each sensor; `clamps`, the number of samples of
+    Its first `size` samples are compared; the other samples lead back. `temperature` [degC] of the path, (n,) or a
+    number. `listener` receives the progress, `say` a line on each repetition; `judge` may refuse the plan before
+    anything moves. `follow` sets: `tracked`, the measured path of each repetition, and `best`, the best learnt path, or
+    else the last path; `promises` of each axis or None; `noise` [m] of each sensor; `clamps`, the number of samples of
     the path by kind; `late` [s], the longest delay of a sample; `learnt`, the voltages (n, axes) [V] of the best cycle,
-    None without one; `believed`, whether the sensor is; `remarks`, sentences.
+    or None; `believed`, whether the sensor is believed; `remarks`, sentences.
     """
 
     rig: AbstractRig
@@ -77,13 +77,13 @@ class FollowedPath:
 
     @property
     def promised(self) -> list[Array | None]:
-        """The error (n,) [m] of each axis without what its promise leaves out; None without a promise."""
+        """Error (n,) [m] of each axis without the mean and delay that its promise excludes; None without a promise."""
         pairs = zip(self.promises, self.best.each, strict=True)
         return [None if promise is None else _apart(path, promise.delay) for promise, path in pairs]
 
     @property
     def kept(self) -> list[bool | None]:
-        """Whether the promise of each axis is kept, apart from what it leaves out and the sensor's noise."""
+        """Whether the promise of each axis is kept, without the mean and delay that it excludes, and the noise."""
         return [
             None if error is None else promise.missed_by(*beyond_noise(error, noise)) <= 1
             for promise, error, noise in zip(self.promises, self.promised, self.noise, strict=True)
@@ -95,15 +95,15 @@ class FollowedPath:
         if self.clamps.slewed:
             return "the slew rate kept the voltage from the path: give a slower path"
         if self.clamps.limited:
-            return "the limits kept the voltage from the path: give one within their reach"
+            return "the limits kept the voltage from the path: give a path within their reach"
         late = f"this computer was late by up to {1e3 * self.late:.3g} ms: give fewer samples a second"
         return late if self.late > 1 / self.rate else "the stage may have changed: dehyst check shows how"
 
     def follow(self, path: Path, *, repeat: int = 1, lessons: int = 0, feedback: bool = False) -> None:
-        """Home, follow the path `repeat` times, then learn it in `lessons`; the file `path` has all samples.
+        """Home, follow the path `repeat` times, then learn it `lessons` times; the file `path` has all samples.
 
-        `feedback`: correct each sample of a single axis by the reading before. Raise `RigError` if the rig fails; the
-        voltage is then brought to the safe one, as at the end.
+        `feedback`: correct each sample of a single axis by the reading before. Raise `RigError` if the rig fails. Then,
+        and at the end, the voltage is brought to the safe value.
         """
         # Read before anything moves: a rig without a sensor is refused here.
         present = [axis.limits.nearest(axis.read().voltage) for axis in self.rig.rigs]
@@ -138,7 +138,7 @@ class FollowedPath:
         return plan_path(self._compensator(None), rows, home=True, on_time=True, **given)
 
     def _compensator(self, states: Any) -> Compensator:
-        """Return a compensator within the bounds, at the temperature of the path; from states, one that looks ahead."""
+        """Return a compensator within the bounds at the temperature of the path; from given `states` it looks ahead."""
         limits, slews = [(bound.low, bound.high) for bound in self.bounds], [bound.slew_rate for bound in self.bounds]
         single = None if isinstance(self.model, Stage) else self.model
         ahead = states is not None and single is not None and (single.delay > 0 or single.dynamics is not None)
@@ -189,7 +189,7 @@ class FollowedPath:
         slewed = 0
 
         def step(measured: float | None) -> float:
-            # A stage that lags is behind while the voltage is slewed, which is no error of the model: it would wind up.
+            # The lag behind a slewed voltage is no error of the model; corrected, it would wind the integral up.
             nonlocal slewed
             before, slewed = slewed, loop.clamps.slewed
             return corrected.step(next(inputs), measured if slewed == before else None)
@@ -204,7 +204,7 @@ class FollowedPath:
         repetition = Repetition(loop, self.wanted if self._several else self.wanted[:, 0])
         errors: list[float] = []
         for number in range(1, most + 1):
-            # The second cycle follows one like itself, as all later ones do.
+            # The second cycle follows an equal cycle, as all later cycles do.
             pair = [np.reshape(repetition.next(), self.wanted.shape) for _ in range(2)]
             reached = self._play(player, np.concatenate(pair), np.tile(self.wanted, (2, 1)), size)
             tracked = self._tracked(reached)
@@ -224,7 +224,7 @@ class FollowedPath:
             self.learnt = None
             self.remarks.append(f"nothing was learnt: voltages were clamped, or {stray}; try dehyst update")
         elif not self.believed:
-            self.remarks.append(f"{stray} in repetition {number}: what was learnt is of those before; check the sensor")
+            self.remarks.append(f"{stray} in repetition {number}: the repetitions before it count; check the sensor")
 
     def _tracked(self, reached: Array) -> TrackedPath:
         """Return the path of a cycle without its way back, with what was reached (n, axes) [m]."""

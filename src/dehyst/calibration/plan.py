@@ -11,9 +11,9 @@ from dehyst.control import VoltageLimits
 from dehyst.instruments import AbstractRig, played_rate
 from dehyst.waveforms import RATIO, TURNS, Excitation, Sampling, positive, raised_cosine, recommended, stage_excitation
 
-# Usual cycles a second, samples of a cycle, and speed of the path beside them: for a single axis, and for several.
+# Default cycles per second, samples per cycle, and speed of the path relative to them: for one axis, and for several.
 _ALONE, _TOGETHER = (0.1, 1000, 5.0), (1.0, 400, 1.0)
-# Descending tops of each of several axes alone, and cycles of the first axis when all move together.
+# For several axes: descending tops of each axis alone, and cycles of the first axis when all move together.
 _STEPS, _CYCLES = 16, 24
 
 
@@ -22,8 +22,8 @@ class Excitations:
     """The excitations of a calibration of one axis or several, with one column for each of several `axes`.
 
     `limits`: voltages and slew rate of each axis. A branch takes half a cycle of the `frequency` [Hz], or longer if a
-    slew rate requires it; the path and the homing before it are `faster`. Raise `RecordError` for an impossible number,
-    and for fewer than 8 samples per cycle.
+    slew rate requires it; the path and the homing before it are `faster` by this factor. Raise `RecordError` for an
+    impossible number, and for fewer than 8 samples per cycle.
     """
 
     limits: tuple[VoltageLimits, ...]
@@ -58,7 +58,7 @@ class Excitations:
 
     @property
     def branches(self) -> list[int]:
-        """Samples between two turns of a path on each axis: periods that do not repeat together.
+        """Number of samples between two turns of the path on each axis; the periods of the axes have no simple ratio.
 
         Half a faster cycle on the first axis, or more to use at most half of each slew rate.
         """
@@ -85,8 +85,8 @@ class Plan:
     Parameters
     ----------
     frequency : float, optional
-        Cycles per second [Hz] of the slowest loops, default 0.1, and 1 for several axes; the path is five times as fast
-        as one actuator's loops.
+        Cycles per second [Hz] of the slowest loops; default: 0.1, and 1 for several axes. The path of a single axis is
+        five times as fast.
     goal : float
         Largest error along the path [% of the stroke] of a good calibration, on every axis.
 

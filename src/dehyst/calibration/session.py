@@ -1,4 +1,4 @@
-"""A player of excitations, and a session: a folder of records that loses no sample and repeats none that is whole."""
+"""A player of excitations, and a session: a folder of records that loses no sample and repeats no complete record."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from dehyst.instruments import AbstractRig, Samples, StepFunction
 from dehyst.records import Columns, Record, Recording, about_of, read
 from dehyst.waveforms import Excitation
 
-# A record that takes more than this multiple of its excitation's time is remarked.
+# A record that takes more than this multiple of its excitation's time causes a remark.
 _LONGER = 1.1
 
 
 class ProgressListener:
-    """A receiver of the progress on a rig; this one ignores it."""
+    """A receiver of the progress on a rig; this base class ignores it."""
 
     def step(self, name: str, seconds: float = 0.0) -> None:
         """Receive the beginning of step `name`, which plays for `seconds` [s]; 0 for a step that computes."""
@@ -39,7 +39,7 @@ class ProgressListener:
 
 
 class Player(AbstractContextManager["Player"]):
-    """Plays excitations on a `rig`; samples are in the file `path`, of all axes, before the `listener` has them.
+    """Plays excitations on a `rig`; the file `path` has the samples of all axes before the `listener` receives them.
 
     `about`: written above the samples, beside the names of the axes. `states_wanted`: whether the file has columns of
     the wanted displacement. Use it in a with-statement; a file without a sample is removed at its end. Raise
@@ -68,7 +68,7 @@ class Player(AbstractContextManager["Player"]):
     def play(self, excitation: Excitation, wanted: Array | None = None, *, step: StepFunction | None = None) -> Record:
         """Play an `excitation` and return its record; raise as `AbstractRig.play`, or `FileFormatError` on a full disk.
 
-        `wanted`: displacements [m] at each voltage, (n,) or (n, axes), for a file that has them. `step` as of the rig.
+        `wanted`: displacements [m] at each voltage, (n,) or (n, axes), if the file has them. `step`: as of the rig.
         """
         rows, count = self._rig.rows(len(excitation)), 0
         columns = None if wanted is None else 1e6 * wanted.reshape(len(excitation), -1)
@@ -87,7 +87,7 @@ class Player(AbstractContextManager["Player"]):
 class Session(AbstractContextManager["Session"]):
     """Records from one rig in one folder: ``records/NAME.csv``, each with all axes.
 
-    The records are its only state. A session in the folder of an interrupted one keeps each whole record of the same
+    The records are its only state. A session in the folder of an interrupted one keeps each complete record of the same
     excitation and the same instrument, and continues. Close it, or use it in a with-statement.
 
     `sequence`: the requested records, in order. `played`, `kept`: names of the records that were played, and that were
@@ -192,7 +192,7 @@ class Session(AbstractContextManager["Session"]):
         return replace(record, meta={**record.meta, **about_of(self._path(name))})
 
     def stored(self, name: str, excitation: Excitation) -> Record | None:
-        """Return the record on disk if it is whole, and of this excitation and instrument."""
+        """Return the record on disk if it is complete, and of this excitation and instrument."""
         try:
             record = self._read(name)
         except (FileFormatError, RecordError, ValueError):
@@ -207,8 +207,8 @@ class Session(AbstractContextManager["Session"]):
 
 
 def slower(record: Record, planned: Excitation) -> Iterator[str]:
-    """Remark a rig that took longer than was planned."""
+    """Yield a remark if the rig took longer than planned."""
     factor = float(np.ptp(record.time)) / planned.duration
     if factor > _LONGER:
-        words = "what was measured is of that speed. Use a faster link, or go slower"
+        words = "the record has the slower speed. Use a faster link, or play it slower"
         yield f"The rig took {factor:.3g} times as long as planned for '{planned.name}': {words}."

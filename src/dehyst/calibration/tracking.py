@@ -18,8 +18,8 @@ from dehyst.model import Actuator, Stage, State, apply, beginning
 from dehyst.records import Record, largest, percent, rms
 from dehyst.waveforms import TURNS, Excitation, wanted_path
 
-# Share of every actuator's range that a path of several axes uses, and turning points by which an axis begins later
-# than the axis before.
+# Share of every actuator's range that a path of several axes uses, and number of turning points by which an axis begins
+# later than the axis before.
 _USED, _LATER = 0.96, 3
 
 
@@ -57,8 +57,8 @@ class _Homed(NamedTuple):
 class PathPlanner:
     """A planner of a path through most of the stroke after a homing, for one axis or several that move together.
 
-    Homing, limits and the samples between turning points are those of the `excitations`. Models that depend on
-    temperature move in that of the last record, which goes on as it drifted.
+    Homing, limits and the samples between turning points are those of the `excitations`. For models that depend on
+    temperature, the temperature of the last record goes on drifting.
     """
 
     excitations: Excitations
@@ -91,7 +91,7 @@ class PathPlanner:
         given: dict[str, Any] = {
             "limits": bounds if several else bounds[0],
             "slew_rate": rates if several else rates[0],
-            # The later path is the same; only the temperature drifts.
+            # The temperature goes on drifting after the last record.
             "temperature": later_temperature(model, before[-1], self.homing.duration + time),
         }
         given |= {"start": homed.states, "present": self.homing.voltage[-1], "home": False, "on_time": True}
@@ -117,7 +117,7 @@ class PathPlanner:
         moved = apply(stage.decoupling, homed.displacement)[len(homing) // 2 :]
         bottom, top = moved.min(axis=0), moved.max(axis=0)
         stroke = top - bottom
-        # So large that no actuator leaves its range for any motion of the other axes.
+        # The largest share with which no actuator leaves its range for any motion of the other axes.
         share = _USED * float((stroke / (np.abs(stage.decoupling) @ stroke)).min())
         middle = apply(stage.coupling, (0.5 * (bottom + top))[None])[0] + zero
         low = apply(stage.coupling, bottom[None])[0] + zero
@@ -148,9 +148,9 @@ class PathPlanner:
 
 
 def later_temperature(model: Actuator | Stage, record: Record, seconds: ArrayLike) -> Array | None:
-    """Return the temperatures [degC] to expect some `seconds` (n,) [s] after a record; None if none moves the model.
+    """Return the temperatures [degC] to expect some `seconds` (n,) [s] after a record; None if none has an effect.
 
-    It goes on as it drifted in the record's second half, for as long as the record lasted.
+    The drift of the record's second half goes on, for no longer than the record lasted.
     """
     actuators = model.actuators if isinstance(model, Stage) else (model,)
     values, time, late = record.temperature, record.time - record.time[-1], slice(len(record) // 2, None)
@@ -183,7 +183,7 @@ class TrackedPath:
     """A measured path of one axis or several.
 
     `time` (n,) [s], `wanted` and `reached` displacement (n,) or (n, axes) [m], `stroke` [m] of each axis; `axes`: names
-    of several.
+    of several axes.
     """
 
     time: Array
@@ -232,7 +232,7 @@ class TrackedPath:
         return tuple(TrackedPath(self.time, wanted, reached, stroke) for wanted, reached, stroke in columns)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return JSON values; for several axes by name."""
+        """Return JSON values; for several axes, by the name of the axis."""
         if self.axes:
             return {axis: path.as_dict() for axis, path in zip(self.axes, self.each, strict=True)}
         return {
