@@ -33,8 +33,8 @@ def open_rig(
         ``path/to/my_rig.py:make``: your own; `make` is called with `limits` and `slew_rate` and returns an
         `AbstractRig`.
     axes : sequence of str, optional
-        Names of the axes of a controller, unless they are in the address; default: its only axis. Those of a rig of
-        your own must be the ones that it has; default: these.
+        Names of the axes of a controller, unless they are in the address; default: its only axis. For your own rig they
+        must be the axes that it has, which are the default.
     limits : (float, float) or sequence of (float, float), optional
         Allowed voltages [V], for all axes or for each; they are narrowed to the limits of the device.
     slew_rate : float or sequence of float, optional
@@ -105,7 +105,7 @@ def _sim(name: str, _: Sequence[str] | None, options: _Options) -> AbstractRig:
     return SimulatedRig(PlayActuator(), **options)
 
 
-# How each kind of address is written, and the function that opens it, of the rest after ``://``, the axes and options.
+# Each kind of address: how it is written, and the function that opens it by the text after ``://``, axes and options.
 SCHEMES: dict[str, tuple[str, Callable[[str, Sequence[str] | None, _Options], AbstractRig]]] = {
     "pi": ("pi://host:port[/axis or /1,2,3]", _pi),
     "epics": ("epics://PREFIX", _epics),

@@ -46,8 +46,8 @@ class AbstractRig(ABC):
     implements the methods whose names begin with an underscore; see ``docs/how_to/instruments.md``. All methods that
     send a voltage are final. A rig of several axes contains a rig for each axis and uses its limits, readings, ramps
     and stops; it implements only `_wave`, which plays all axes from one instant, and `_close`. Raise `RigError` if no
-    voltage is allowed by both device and user, or two axes have one name. A class that replaces what limits and
-    retreat rely on, or inherits a replacement from another base, raises TypeError when it is defined.
+    voltage is allowed by both device and user, or two axes have the same name. A class that replaces a method of limits
+    or retreat, or inherits a replacement, raises TypeError when it is defined.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class AbstractRig(ABC):
     longest : int, optional
         Largest number of samples of one `_wave`; default: any number.
     axis : str
-        Name of the axis; for several axes, their names joined by commas. They are `axes`.
+        Name of the only axis. The attribute `axes` has all names, and `axis` joins them by commas.
     identity : str, optional
         Identifies the instrument wherever it is connected; default its name.
     others : sequence of str, optional
@@ -75,7 +75,7 @@ class AbstractRig(ABC):
         if replaced := [name for name in _OWN + _SPECIAL if getattr(cls, name) is not getattr(AbstractRig, name)]:
             drivers = ", ".join(_DRIVERS)
             raise TypeError(
-                f"{cls.__name__}: replaces {', '.join(replaced)} of AbstractRig; a rig writes only {drivers}"
+                f"{cls.__name__}: replaces {', '.join(replaced)} of AbstractRig; a driver defines only {drivers}"
             )
 
     def __init__(
@@ -150,11 +150,11 @@ class AbstractRig(ABC):
 
     @final
     def set_voltage(self, voltage: float) -> float:
-        """Ramp to a `voltage` [V] within the slew rate, or the range per second if slower; return the voltage sent.
+        """Ramp to a `voltage` [V] within the slew rate, at most the range per second; return the voltage sent.
 
-        The ramp begins at the voltage that was sent last, or at the one that is read if none was. A voltage outside the
+        The ramp begins at the last voltage sent, or at the voltage that is read if none was sent. A voltage outside the
         limits is clamped, with a `ClampWarning`. Raise `RecordError` if it is not a finite number: nothing was sent;
-        `RigError` if the device fails, or its reading differs from what was sent by over 5 % of the range: a retreat
+        `RigError` if the device fails, or its reading differs from the sent voltage by over 5 % of the range: a retreat
         was attempted.
         """
         self._refuse_closed()
@@ -189,10 +189,10 @@ class AbstractRig(ABC):
     ) -> Record:
         """Ramp to the first voltage of an `excitation` and play it, at the device's rate nearest to the excitation's.
 
-        Return voltage and displacement as recorded by the device, with its time; of several axes a column for each.
+        Return voltage and displacement as recorded by the device, with its time; several axes have a column each.
         `listen` is called with each batch of `Samples` that arrives. After any error, Ctrl-C or SIGTERM the wave is
         stopped and all voltages are ramped to their safe values. Raise `RecordError` if the excitation does not have a
-        voltage an axis, leaves the limits or is too steep: nothing was sent; `RigError` if device or link fails.
+        voltage for each axis, leaves the limits or is too steep: nothing was sent; `RigError` if device or link fails.
 
         `step`: called before each sample of a single axis with the displacement [m] of the reading before, or None; it
         returns the voltage to send, within limits and slew rate. This computer sends it, as the default `_wave` does.
@@ -211,7 +211,7 @@ class AbstractRig(ABC):
 
     @final
     def check(self, excitation: Excitation) -> float:
-        """Return the rate [Hz] at which `play` would play an `excitation`; raise its RecordError. Nothing is sent."""
+        """Return the rate [Hz] at which `play` would play an `excitation`; raise its `RecordError`. Nothing is sent."""
         self._refuse_closed()
         columns = columns_of(excitation.voltage)
         if len(columns) != len(self.axes) or (excitation.voltage.ndim > 1) != bool(self._parts):
@@ -239,10 +239,10 @@ class AbstractRig(ABC):
     @final
     @contextmanager
     def safely(self) -> Iterator[None]:
-        """Retreat after any error within, Ctrl-C too, and add a note on the voltage to the error."""
+        """Retreat after any error in the block, also Ctrl-C, and add a note on the voltage to the error."""
         with Shield() as shield:
             try:
-                # This is done twice: a signal may come between an error and the line that defers signals.
+                # There are two blocks: a signal may come between an error and the line that defers signals.
                 try:
                     yield
                 except BaseException:
@@ -257,8 +257,8 @@ class AbstractRig(ABC):
     def retreat(self) -> Any:
         """Stop the wave and ramp to the safe voltage [V], which is returned; Ctrl-C waits until it is reached.
 
-        The ramp begins at what was sent, whatever is read, and its last voltage is sent in any case. Several axes ramp
-        simultaneously, and their voltages (axes,) are returned; if one axis fails, the others still ramp. Raise
+        The ramp begins at the sent voltage, whatever is read, and its last voltage is sent in any case. Several axes
+        ramp simultaneously, and their voltages (axes,) are returned; if one axis fails, the others still ramp. Raise
         `RigError` if the device fails, or the safe voltage was sent and a reading contradicts what was sent.
         """
         self._refuse_closed()
@@ -280,7 +280,7 @@ class AbstractRig(ABC):
                     except LinkError:
                         rig._halt()
                 except DehystError as error:
-                    # A driver reports a wave that it cannot stop, and the other axes go on.
+                    # The driver cannot stop the wave: this axis does not ramp, the other axes do.
                     errors.append(error)
                     continue
                 except BaseException as error:
@@ -304,7 +304,7 @@ class AbstractRig(ABC):
 
     @final
     def rows(self, count: int) -> NDArray[np.intp]:
-        """Return, for each sample, the number of its voltage (of `count`); where pieces join, two samples share one."""
+        """Return, for each sample, the number of its voltage (of `count`); where pieces join, two samples share it."""
         return np.concatenate(list(pieces(np.arange(count), self.longest)))
 
     def nearest_rate(self, sample_rate: float) -> float:
@@ -324,8 +324,8 @@ class AbstractRig(ABC):
     def _wave(self, voltage: Array, rate: float) -> Iterator[Samples]:
         """Play voltages (n,) [V], n <= longest, at `rate` [Hz], from the present output; yield samples as they arrive.
 
-        One sample of the record for each voltage. Times continue from one call to the next. Of several axes, voltages
-        are (n, axes) and begin at one instant. By default this computer sends each voltage, at `HIGHEST_RATE` at most,
+        The record has a sample for each voltage. Times continue from one call to the next. With several axes, voltages
+        are (n, axes) and begin simultaneously. By default this computer sends each voltage, at `HIGHEST_RATE` at most,
         never faster than the slew rate, with uneven steps, and reads in the middle of each hold: `Record.hold` "line".
         """
         return host_timed(self, voltage, rate)
@@ -357,7 +357,7 @@ class AbstractRig(ABC):
         *,
         retreating: bool = False,
     ) -> None:
-        """Ramp axes side by side; raise the first error when those that can have ramped.
+        """Ramp axes simultaneously; raise the first error when all axes that can ramp have ramped.
 
         When `retreating`, the ramp goes on after an error of `_wait`.
         """
@@ -382,7 +382,7 @@ class AbstractRig(ABC):
                         raise
                     time.sleep(waited)
         if found:
-            # After a contradicted reading alone, the end of each ramp was sent.
+            # After a `ReadbackError` alone, the last voltage of each ramp was sent: other errors come first.
             raise next((error for error in found if not isinstance(error, ReadbackError)), found[0])
 
     def _voltage_read(self) -> float:
@@ -434,7 +434,7 @@ class AbstractRig(ABC):
             wrong = f"the readback gave {failed.read:.6g} V where {failed.sent:.6g} V had been sent"
             said = f"{safe} V was sent{to}, but {wrong}; see to it by hand."
         elif failed is not None:
-            # The cause of the first error may prevent the retreat too, and is not repeated.
+            # The cause of the first error may prevent the retreat too: the note does not repeat it.
             why = "" if str(failed) == str(cause) else f" ({failed})"
             known = "; ".join(f"{rig.axis + ': ' if self._parts else ''}{rig._output.words}" for rig in self.rigs)
             holds = "the device holds, or plays to its end, what it has; see to it by hand"
@@ -448,7 +448,7 @@ class AbstractRig(ABC):
         return VoltageNote(said, safe=failed is None, voltages=[rig._output.likely for rig in self.rigs])
 
 
-# Methods that a driver writes or may replace; those of the base class alone; and special ones that no driver may have.
+# Methods that a driver may define; those of the base class alone; and special methods that no driver may have.
 _DRIVERS = ("nearest_rate", "_read", "_read_voltage", "_put", "_wave", "_halt", "_close", "_now", "_wait")
 _OWN = tuple(
     name

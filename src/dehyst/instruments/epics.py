@@ -1,4 +1,4 @@
-"""A rig behind EPICS Channel Access: a laboratory's own IOC, by names of its process variables and blocking calls."""
+"""A rig behind EPICS Channel Access: the process variables of a laboratory's own IOC, with blocking calls."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from dehyst.instruments.waves import Reading
 
 # Rounding of a voltage that the IOC takes, as a share of the range.
 _ROUNDED = 1e-3
-# Most time [s] to wait for a reading of the voltage that is younger than the last command, and between two polls.
+# Longest wait [s] for a reading of the voltage that is newer than the last command; time [s] between two polls.
 _STALE, _POLL_READBACK = 0.5, 0.01
-# Most time [s] to wait for an answer after one was lost.
+# Longest wait [s] for an answer after an answer was lost.
 _LOST = 2.0
 # ECA_TIMEOUT and ECA_DISCONN of Channel Access.
 _SILENT = (80, 192)
 # Characters of an answer that a message quotes.
 _QUOTED = 60
-HINT = "is that its name, does the IOC run, or hang, and does EPICS_CA_ADDR_LIST lead to it?"
+HINT = "check this name, whether the IOC runs or hangs, and whether EPICS_CA_ADDR_LIST leads to it"
 
 
 # The event loop, in a thread of its own, for all exchanges of this process; it runs until the process ends: channels
@@ -51,7 +51,7 @@ class ChannelAccess:
         self._ca: Any = aioca
 
     def connect(self, names: Sequence[str]) -> None:
-        """Connect to all names at the same time; raise `LinkError` if no server answers for one of them."""
+        """Connect to all names at the same time; raise `LinkError` if no server answers for any of them."""
         self._answers(self._ca.connect, names)
 
     def numbers(self, *names: str) -> list[float]:
@@ -178,7 +178,7 @@ class EpicsRig(AbstractRig):
         Parameters
         ----------
         prefix : str
-            Of all `names`; a colon is added to one that ends in a letter or digit.
+            Prefix of all `names`; a colon is added if it ends in a letter or digit.
         limits : (float, float), optional
             Voltages that the user allows [V]; needed if the voltage's record has no limits.
         slew_rate : float, optional

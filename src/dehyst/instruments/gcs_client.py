@@ -13,14 +13,14 @@ from dehyst.instruments import gcs_syntax
 
 _Answer = TypeVar("_Answer")
 IDENTITY = "*IDN?"
-# Most time [s] to find a lost link again: at first, and half of it after each failure, down to the second.
+# Longest time [s] to restore a lost link: the first value, halved after each failure, but never below the second.
 _LOST, _LEAST = 1.5, 0.5
 # Seconds between two attempts to reconnect.
 _PAUSE = 0.02
 
 
 class TcpLink:
-    """A socket that carries lines to one controller, which takes one client at a time, and its answers back.
+    """A socket for lines to one controller, which takes one client at a time, and for its answers.
 
     Raise `LinkError` if there is no connection. `where`: address, for messages. `timeout`: seconds
     after which an answer that is not whole is abandoned.
@@ -84,8 +84,8 @@ class TcpLink:
 
     def _await(self, identity: str, seconds: float) -> None:
         """Query the identity, and discard what was still on its way, for some `seconds` [s]."""
-        # The error of a failed exchange would be taken for that of the next one; its number is discarded too. To a line
-        # that was sent in part over a serial bridge, this adds an argument that no command has.
+        # The number of the error of a failed exchange is discarded too: the next exchange would take it for its own. A
+        # line that a serial bridge sent in part becomes a command with an argument that no command has.
         self._send(["ERR?", IDENTITY])
         deadline = time.monotonic() + seconds
         wanted = identity.encode("ascii")

@@ -41,7 +41,7 @@ def command(word: str, *arguments: object) -> str:
 
 
 def volts(value: float, low: float = -math.inf, high: float = math.inf) -> str:
-    """Return a voltage as text: to 1 uV, or the limit `low` or `high` [V] that rounding would leave, with all digits.
+    """Return a voltage as text, rounded to 1 uV, or where this exceeds `low` or `high` [V], this limit with all digits.
 
     Raise `RigError` if it is not a number within `low` and `high`.
     """
@@ -215,7 +215,7 @@ def table(lines: Sequence[str], rows: int, columns: int) -> tuple[float, Array]:
 
 
 _NARROW = "the voltage is out of its limits, which are narrower than it reported; request narrower limits"
-# Numbers of the public list that the commands used here can lead to.
+# Errors of the public list that the commands of this driver can cause.
 ERRORS = {
     7: _NARROW,
     17: _NARROW,

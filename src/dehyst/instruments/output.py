@@ -18,7 +18,7 @@ from dehyst.instruments.waves import READBACK_TOLERANCE, driver_errors
 if TYPE_CHECKING:
     from dehyst.instruments.base import AbstractRig
 
-# One value for all axes, or one for each; None for an axis: the device's.
+# One value for all axes, or one for each; None for an axis: that of the device.
 AxisLimits: TypeAlias = Sequence[tuple[float, float] | None] | tuple[float, float] | None
 AxisSlewRates: TypeAlias = Sequence[float | None] | float | None
 
@@ -30,27 +30,27 @@ _LEAST_RANGE, _LONGEST_RAMP = 1e-3, 3600.0
 _RECENT = 5
 # Least uncertainty [s] of the place in a wave.
 _LEAST_DELAY = 0.05
-# A voltage is reached if the reading is within this part of the range; a retreat sends its end this often at most.
+# A voltage is reached if the reading is within this part of the range; a retreat sends its end at most this often.
 _EXACT, _SENT = 1e-5, 2
 # Seconds between two steps of a ramp; a host keeps no better time.
 TICK = 0.01
 # Least time [s] of a ramp through the whole range: its steps are then small enough for any actuator.
 _GENTLE = 1.0
-# A ramp through a slow link has fewer and larger steps, so that answers take this time [s] at most; but at least this
-# number. A retreat sends at most this number of steps again that were not taken.
+# A ramp through a slow link has fewer and larger steps: all answers take this time [s] at most. Least number of steps;
+# largest number of refused steps that a retreat sends again.
 _ANSWERS, _FEWEST, _AGAIN = 0.7, 2, 3
 # Number of ticks for which a stage settles after a ramp, so that its lag is not in the record.
 _SETTLES = 10
-# Readings, a tick apart, in which the readback must come near what was sent; where they take longer, seconds, and the
-# fewest of them.
+# Number of readings, a tick apart, within which the readback must reach the sent voltage; if readings take longer, the
+# time [s] and the least number of readings.
 _READINGS, _SETTLING, _FEW = 100, 1.5, 3
 
 
 class VoltageNote(str):
     """A note on an error that says where the voltage was left.
 
-    `safe`: whether this is the safe voltage. `voltages`: those of the axes [V] by what was sent and taken, which a wave
-    that cannot be stopped leaves; NaN where nothing was sent.
+    `safe`: whether this is the safe voltage. `voltages`: likely voltage of each axis [V], by the voltages that were
+    sent and taken; a wave that cannot be stopped leaves it. NaN where nothing was sent.
     """
 
     safe: bool
@@ -64,7 +64,7 @@ class VoltageNote(str):
 
 
 class ReadbackError(DeviceError):
-    """A voltage that is `read` [V], and contradicts the one that was `sent` [V]."""
+    """The voltage that is `read` [V] contradicts the voltage that was `sent` [V]."""
 
     def __init__(self, name: str, sent: float, read: float) -> None:
         need, hint = f"{sent:.6g} V, as was sent", "check the readback and its cable, the amplifier, servo and channel"
@@ -73,18 +73,18 @@ class ReadbackError(DeviceError):
 
 
 class Output:
-    """What the only axis of a `rig` puts out; `read`: the voltage that was read after a retreat [V], or NaN."""
+    """The output of the only axis of a `rig`; `read`: the voltage that was read after a retreat [V], or NaN."""
 
     def __init__(self, rig: AbstractRig) -> None:
         self._rig, self.read = rig, math.nan
         span = rig.limits.high - rig.limits.low
         self._tolerance, self._exact = READBACK_TOLERANCE * span, _EXACT * span
-        # Voltages of the present wave, or the last one that was sent; None before that.
+        # Voltages of the present wave, or the last voltage that was sent; None before any was sent.
         self._sent: Array | None = None
-        # The last voltage since then of which it is not known whether it was taken.
+        # A later voltage of which it is unknown whether the device took it; else None.
         self._unconfirmed: float | None = None
-        # Rows a second, and the row of the last sample; the row at the time 0 of a wave that goes at this pace, by the
-        # earliest of all samples and by each of the recent ones.
+        # Rows per second, and the row of the last sample. The row at the time 0 of the clock, extrapolated at this pace
+        # from the sample with the least delay, and from each of the recent samples.
         self._pace, self._row, self._soonest = 0.0, 0, 0.0
         self._recent: deque[float] = deque(maxlen=_RECENT)
         # Duration of the last answer [s].
@@ -101,7 +101,7 @@ class Output:
         self._recent.clear()
 
     def observe(self, count: int) -> None:
-        """Take note that the sample of a number `count` came now."""
+        """Take note that sample number `count` came now."""
         self._row = count - 1
         place = self._row - self._pace * self._rig._now()
         self._soonest = max(place, self._soonest) if self._recent else place
@@ -113,7 +113,7 @@ class Output:
         return math.nan if self._sent is None else self._present(self._sent)[0]
 
     def reached(self, voltage: float) -> bool:
-        """Return whether a `voltage` [V] was read after the last retreat, apart from the digits of a readback."""
+        """Return whether a `voltage` [V] was read after the last retreat, apart from the rounding of a readback."""
         return abs(self.read - voltage) <= self._exact
 
     @property
@@ -124,14 +124,14 @@ class Output:
         if self._unconfirmed is not None:
             return f"{self._unconfirmed:.6g} V was sent last, and no answer confirms it"
         if self._sent.size == 1:
-            return f"{self.likely:.6g} V was the last that it acknowledged"
+            return f"{self.likely:.6g} V was the last voltage that it acknowledged"
         # Received samples are certain; the later voltages depend only on the clock of the device.
         left = self._sent[self._row :]
         way = f"between {left.min():.6g} and {left.max():.6g} V"
         return f"a wave went on from {left[0]:.6g} V, {way}, to its end at {left[-1]:.6g} V"
 
     def _present(self, sent: Array) -> tuple[float, float, float]:
-        """Return the likeliest voltage, lowest and highest [V] of an output that may have stopped since a sample."""
+        """Return the likeliest voltage, lowest and highest [V] of an output that may have stopped after a sample."""
         passed = self._pace * self._rig._now()
         # The estimate uses the recent sample with the least delay. All are late if this computer is busy.
         likely = max(self._recent) + passed if self._recent else 0.0
@@ -140,7 +140,7 @@ class Output:
         return float(sent[middle]), float(sent[first : end + 1].min()), float(sent[first : end + 1].max())
 
     def ramp(self, end: float) -> Generator[float, float, None]:
-        """Ramp to `end` [V] from what was sent, or is read if nothing was; yield each wait [s], sent back as it was.
+        """Ramp to `end` [V] from the sent voltage, or else the read one; yield each wait [s], get back the longest.
 
         Raise `ReadbackError` if a reading before or after it contradicts what was sent.
         """
@@ -172,7 +172,7 @@ class Output:
             except RigError:
                 pass
         self.read = math.nan
-        # A readback that contradicts is not waited for again.
+        # After a contradiction, one reading is enough.
         readings = 1 if contradiction else _READINGS
         for _ in range(_SENT):
             yield from self._steps(present, end, always=True)
@@ -189,18 +189,18 @@ class Output:
             raise contradiction
 
     def _steps(self, present: float, end: float, *, always: bool) -> Generator[float, float, None]:
-        """Send voltages from `present` to `end` [V] within the slew rate; `always`: the end if it is there already.
+        """Send voltages from `present` to `end` [V] within the slew rate; `always`: even if these are equal.
 
-        A step is as large as the slew rate allows in the wait before it, which begins when the one before has been
-        taken. The ramp's own speed, where it is lower, counts from when that was sent.
+        A step is as large as the slew rate allows in the wait before it, which begins when the device has taken the
+        last step. The ramp's own speed, if it is lower, counts from the time when the last step was sent.
         """
         limits, slew = self._rig.limits, self._rig.slew_rate
         speed = min(slew, (limits.high - limits.low) / _GENTLE)
         gentle, seconds = VoltageLimits(limits.low, limits.high, speed), abs(end - present) / speed
         sending, again, unread = self._rig._now(), _AGAIN if always else 0, False
         while present != end or always:
-            # Before the first step too: a wave may have been stopped just now. It is so long that the slew rate allows
-            # what the ramp's speed does, or there are few waits.
+            # Wait before the first step too: a wave may have been stopped just now. The wait is so long that the slew
+            # rate allows the ramp's speed, or that few steps suffice.
             enough = self._answer * speed / (slew - speed) if slew > speed else math.inf
             waited = yield max(TICK, min(seconds / _FEWEST, seconds * self._answer / _ANSWERS, enough))
             passed = max(waited, self._rig._now() - sending)
@@ -214,7 +214,7 @@ class Output:
                 # The error of the device may have another cause, and the voltage may have been taken.
                 taken = None if unread else self._has_arrived(voltage, present)
                 if taken is None and isinstance(error, LinkError):
-                    # It is unknown whether the voltage was taken; the next step keeps the slew rate from both.
+                    # It is unknown whether the voltage was taken; the next step keeps the slew rate from both voltages.
                     unread, again, present = True, again - (voltage == end), voltage
                     self._unconfirmed = voltage
                     continue
@@ -248,9 +248,9 @@ class Output:
     def _confirmed(
         self, sent: float, low: float, high: float, readings: int = _READINGS
     ) -> Generator[float, float, float]:
-        """Return the reading [V] once it is near `low` to `high`, of at most `readings`; yield a wait between them.
+        """Return the reading [V] once it is near `low` to `high`; yield a wait between at most `readings` readings.
 
-        Raise `ReadbackError`, which says what was `sent`, if it does not come there in time.
+        Raise `ReadbackError`, which says what was `sent`, if it does not come near in time.
         """
         begin, read = self._rig._now(), math.nan
         for count in range(readings):
@@ -270,7 +270,7 @@ class Output:
 def bounds_of_axes(
     limits: AxisLimits, slew_rate: AxisSlewRates, count: int
 ) -> list[tuple[tuple[float, float] | None, float | None]]:
-    """Return limits [V] and slew rate [V/s] that the user allows of each of `count` axes, given once or for each.
+    """Return limits [V] and slew rate [V/s] that the user allows for each of `count` axes, given once or for each.
 
     Raise `RigError` if there is another number of them, or one is no interval or no number.
     """
@@ -298,7 +298,7 @@ def common_limits(device: VoltageLimits, limits: tuple[float, float] | None, sle
     if high - low > _LONGEST_RAMP * rate:
         least = (high - low) / _LONGEST_RAMP
         raise RigError(
-            f"slew rate: {rate:g} V/s takes more than an hour from {low:g} to {high:g} V, so that a stop would too; "
+            f"slew rate: {rate:g} V/s takes more than an hour from {low:g} to {high:g} V, and so would a stop; "
             f"give {least:.3g} V/s at least, or narrower limits"
         )
     return VoltageLimits(low, high, rate)

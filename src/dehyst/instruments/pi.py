@@ -32,7 +32,7 @@ _STEPS_TO_STOP = 20
 _METRES = 1e-6
 # Seconds between two polls of the recorder: less for a short wave, so that a dead sensor is detected in time.
 _SHORTEST_POLL, _POLL, _POLLS = 0.02, 0.1, 20
-# Most numbers of one answer.
+# Largest number of values in one answer.
 _NUMBERS = 2000
 # Time [s] between two readings within one tick of a clock.
 _TICK = 1e-9
@@ -63,9 +63,9 @@ class WaveTraits(NamedTuple):
 class PiRig(AbstractRig):
     """Axes of a PI controller in open loop.
 
-    The wave generators play and the data recorder records; the host only fills and reads tables. Without them the host
-    sends voltages of one axis one by one, at 200 Hz at most, with a warning. Positions are assumed to be in
-    micrometres. A servo that is on is switched off. No command is sent twice.
+    The wave generators play and the data recorder records; the host only fills and reads tables. Without generators or
+    recorder the host sends the voltages of one axis one by one, at 200 Hz at most, with a warning. Positions are
+    assumed to be in micrometres. A servo that is on is switched off. No command is sent twice.
 
     Raise `LinkError` if the answers do not come from a GCS controller; `DeviceError` if it cannot send voltages in open
     loop, does not report its limits and none are given, or cannot play and record several axes together; `RigError` if
@@ -209,7 +209,7 @@ class PiRig(AbstractRig):
             self._last = float(times[-1])
             samples = Samples(times, volts, positions * _METRES)
             yield samples if len(self.axes) > 1 else samples.axis(0)
-        # Otherwise the controller takes no voltages.
+        # While its generator is on, the controller takes no voltages.
         for rig in self._pi_rigs:
             rig._halt()
 
@@ -273,7 +273,7 @@ class PiRig(AbstractRig):
                 )
 
     def _recorded(self, count: int, interval: float) -> Iterator[tuple[int, Array, Array]]:
-        """Yield rows as they are recorded: the first one's number, positions [um] and voltages [V] (m, axes)."""
+        """Yield rows as they are recorded: number of the first row, positions [um] and voltages [V] (m, axes)."""
         client = self._client
         # The recorder's tables: position and voltage of each axis.
         keys = [str(number + 1) for number in range(2 * len(self._pi_rigs))]

@@ -1,4 +1,4 @@
-"""Readings, samples and waves of a rig: played in pieces, checked as they arrive, timed by the host where need be."""
+"""Readings, samples and waves of a rig: played in pieces, checked as they arrive, timed by the host if necessary."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def driver_errors(name: str, method: str) -> Iterator[None]:
 
 
 def admitted(rig: AbstractRig, batch: Any, sent: Array, count: int, after: float) -> Samples:
-    """Return a `batch` of a driver as arrays of their own.
+    """Return a copy of a `batch` of a driver.
 
     Raise `LinkError` if it cannot follow the `count` samples before, the last of which came at `after` [s]: too many
     for the `sent` voltages, not finite, or times that do not increase; `DeviceError` if it has other further channels.
@@ -134,13 +134,13 @@ def admitted(rig: AbstractRig, batch: Any, sent: Array, count: int, after: float
 class SensorWatch:
     """A check of samples as they arrive: it raises when the sensor reads a constant while the actuator should move.
 
-    `span`: range of the voltage [V] of which the voltage may cross a fifth meanwhile. `name`: name of the sensor, for
-    the message.
+    `span`: range of the voltage [V]; at a constant reading, the voltage may cross a fifth of it. `name`: name of the
+    sensor, for the message.
     """
 
     def __init__(self, span: float, name: str = "the sensor") -> None:
         self._enough, self._name = _DEAD * span, name
-        # The last reading, and the range of the voltage since it is constant.
+        # The last reading, and the range of the voltage since the reading became constant.
         self._value, self._low, self._high = math.nan, 0.0, 0.0
 
     def observe(self, voltage: Array, displacement: Array) -> None:
@@ -165,7 +165,7 @@ class SensorWatch:
 
 
 class WaveWatch:
-    """All checks of the samples of an excitation that a `rig` plays at a `rate` [Hz], after they were listened to."""
+    """All checks of the samples of an excitation that a `rig` plays at a `rate` [Hz], after `listen` received them."""
 
     def __init__(self, rig: AbstractRig, excitation: Excitation, rate: float) -> None:
         self._rig, self._rate = rig, rate
@@ -275,7 +275,7 @@ def _batches(
 def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction | None = None) -> Iterator[Samples]:
     """Send each `voltage` (n,) [V] to `rig` at `rate` [Hz], slower if a call takes longer; read in the middle of holds.
 
-    There the displacement is that of straight lines between the voltages, with the actuator's own lag, at every rate.
+    At every rate, the displacement there is that of straight lines between the voltages, with the actuator's lag.
     Readings have the device's time. `step` replaces the given voltages, see `AbstractRig.play`.
     """
     period, readings, read, answer = 1 / rate, list[Reading](), None, 0.0
