@@ -1,8 +1,8 @@
-"""A listener of a calibration that keeps what it is given, and may interrupt it."""
+"""A listener of a calibration that keeps the progress it receives, and may interrupt the calibration."""
 
 
 class Heard:
-    """A watcher that remembers."""
+    """A listener that keeps what it receives."""
 
     def __init__(self, stop_at=None, after=0):
         self.steps, self.samples_of = [], {}

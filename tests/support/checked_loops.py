@@ -15,14 +15,14 @@ GAIN, WIDTH, OFFSET, DELAY = 0.02, 0.1, 0.2e-6, 2.0
 
 @cache
 def model():
-    """The actuator as it was identified."""
+    """The identified model of the actuator."""
     return dehyst.identify(record_loops()[0]).actuator
 
 
 def later(seed=1, *, gain=0.0, offset=0.0, delay=0.0, width=0.0, slow=None, tops=(200.0, 120.0, 160.0), cycles=2):
     """A record of the same actuator: two cycles to each of three tops.
 
-    `width` is a part of the loop's, which keeps its ends; `slow` gives a displacement [m] at times [s].
+    `width`: factor of the loop's width, with the same ends; `slow` gives a displacement [m] at times [s].
     """
     drive = raised_cosine(list(tops), cycles=cycles, drive=Sampling(sample_rate=4.0))
     usual = PlayActuator(plays=PLAYS)

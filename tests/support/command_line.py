@@ -17,7 +17,7 @@ TIMEOUT = 600
 # Texts of parameters by their type.
 TEXTS = {"columns": "time=2", "numbers": "1,2", "start": "bottom", "text": "70"}
 OUTPUTS = {"-o", "--output", "--report", "--table"}
-# Commands write twelve significant digits: a number moves by this part of itself at most.
+# Commands write twelve significant digits: the largest relative error of a written number.
 WRITTEN = 5e-12
 
 
@@ -47,7 +47,7 @@ def commands(group=main, path=()):
 
 
 def sample_words(command, option=None, text=None):
-    """Words of a command: arguments and options that it needs, and an `option` with a value that is not its default."""
+    """Words of a command: its required arguments and options, and an `option` with a value other than its default."""
     words = []
     for each in command.params:
         if each is option or each.required or isinstance(each, click.Argument):
@@ -92,7 +92,7 @@ def refused(*arguments, cwd=None):
 
 
 def result(*arguments, **options):
-    """Return exit status and JSON result of a command that is done."""
+    """Return exit status and JSON result of a completed command."""
     status, out, err = run(*arguments, "--json", **options)
     assert status in (0, 1), err
     return status, json.loads(out)

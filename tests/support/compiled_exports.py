@@ -21,8 +21,8 @@ LIMITS = (10.0, 150.0)
 SEED, MULTIPLIER, INCREMENT = 88172645463325252, 6364136223846793005, 1442695040888963407
 OFFSET, PRIME, WORD = 14695981039346656037, 1099511628211, 2**64 - 1
 
-# Both sides make the same wishes: jumps over the whole reach and beyond, then smaller and smaller, and again. Of the
-# answers a running digest is compared, and some one by one.
+# Both sides request the same displacements: jumps beyond the whole reach, then smaller and smaller ones, and again. A
+# running digest of the answers is compared, and some answers one by one.
 DRIVER = r"""
 #include <stdint.h>
 #include <stdio.h>
@@ -94,13 +94,13 @@ COUNTS_AN_INSTRUCTION = 1.6
 
 
 def plain(elements=10, *, slew=None, period=None):
-    """A compensator of the plain class."""
+    """A compensator of an actuator of the plain class."""
     actuator = plain_records.plant(elements, seed=4)
     return Compensator(actuator, LIMITS, slew, period=period, state=turned(actuator, 0.3 * plain_records.STROKE))
 
 
 def wider(kind, *, moving=False, creeping=False):
-    """One of a wider class; moving: with a mass, a delay and a lag, which it makes up for; creeping begins strained."""
+    """A compensator of a wider actuator; `moving`: with a mass, a delay and a lag; creep begins strained."""
     made = structured_records.plant(structured_records.STRUCTURES[kind])
     period, actuator, state = 1 / structured_records.RATE, made.actuator, made.state
     if creeping:
@@ -113,13 +113,13 @@ def wider(kind, *, moving=False, creeping=False):
 
 
 def spread(compensator):
-    """Middle and half width of the wishes: a tenth beyond the reach."""
+    """Middle and half width of the requested displacements: a tenth beyond the reach."""
     low, high = compensator.reach
     return 0.5 * (low + high), 0.55 * (high - low)
 
 
 def wishes(compensator, samples):
-    """Those that DRIVER makes."""
+    """The displacements that DRIVER requests."""
     shares, x = np.empty(samples), SEED
     for t in range(samples):
         x = (x * MULTIPLIER + INCREMENT) & WORD
@@ -129,7 +129,7 @@ def wishes(compensator, samples):
 
 
 def told(voltages, clamps, *, every):
-    """What DRIVER prints of such answers."""
+    """The lines that DRIVER prints of these answers."""
     words, value = voltages.view(np.uint64), OFFSET
     for bits in words.tolist():
         value = ((value ^ bits) * PRIME) & WORD
@@ -137,7 +137,7 @@ def told(voltages, clamps, *, every):
 
 
 def must_run(command, folder, **options):
-    """What a command prints that must succeed."""
+    """The output of a command that must succeed."""
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=900, **options)
     assert done.returncode == 0, f"{done.stdout}{done.stderr}"
     return done.stdout
@@ -152,7 +152,7 @@ def _built(folder, name, text, *command, link=()):
 
 
 def _built_for_board(folder, name, text):
-    """Compile it for the emulated Cortex-M4, with its unit."""
+    """Compile it for the emulated Cortex-M4 with its floating-point unit."""
     for file, content in BOARD.items():
         (folder / file).write_text(content)
     link = ["start.S", "--specs=rdimon.specs", "-T", "board.ld"]
@@ -172,13 +172,13 @@ def driven(folder, compensator, samples, *, every, compiler="gcc", options=("-O2
 
 
 def emulated(folder, compensator, samples, *, every):
-    """The same on an emulated Cortex-M4, doubles by software and floats by its unit."""
+    """The same on an emulated Cortex-M4: doubles by software, floats by its floating-point unit."""
     name = _built_for_board(folder, "driver", _driver(compensator, samples, every))
     return must_run([*QEMU, name], folder).splitlines()
 
 
 def instructions(folder, given):
-    """Instructions of each step on an emulated Cortex-M4 by its unit, and the voltages."""
+    """Instructions of each step on an emulated Cortex-M4 with its floating-point unit, and the voltages."""
     values = ",".join(float(x).hex() for x in given)
     text = STOPWATCH.replace("int main", f"static const double WISHES[] = {{{values}}};\n\nint main", 1)
     program = _built_for_board(folder, "stopwatch", text)

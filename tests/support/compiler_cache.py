@@ -1,7 +1,7 @@
-"""Stand in for C compilers: the core of an export, which has no model's numbers, is compiled once for a command.
+"""Stand-ins for C compilers: they compile the core of an export, which contains no model, once for each command.
 
 As a program: compiler_cache.py FOLDER COMPILER ARGUMENT... does what the compiler does with the arguments, but takes
-the object of ``dehyst.c`` from the folder, if this compiler made one there by equal flags of an equal text.
+the object of ``dehyst.c`` from the folder, if this compiler made it there with the same flags from the same text.
 """
 
 import hashlib
@@ -10,12 +10,12 @@ import sys
 
 COMPILERS = ("cc", "gcc", "clang", "arm-none-eabi-gcc")
 _SOURCE, _HEADERS = "dehyst.c", ("dehyst.h", "dehyst_model.h", "dehyst_config.h")
-# These ask for something else than an object or a program, or look for headers elsewhere.
+# These options ask for something else than an object or a program, or for headers in other folders.
 _OTHERWISE = ("-E", "-S", "-M", "-I", "-x", "-T", "-fsyntax-only", "-save-temps", "@")
 
 
 def install(programs, folder):
-    """Put stand-ins for the compilers there are into the folder `programs`; `folder` keeps their objects."""
+    """Put stand-ins for the installed compilers into the folder `programs`; `folder` keeps their objects."""
     import shutil
 
     for name in COMPILERS:
@@ -26,13 +26,13 @@ def install(programs, folder):
 
 
 def _read(path):
-    # Not by pathlib, whose import takes as long as a small file's compilation.
+    # The import of pathlib takes as long as the compilation of a small file.
     with open(path, "rb") as file:  # noqa: PTH123
         return file.read()
 
 
 def _compiled(kept, compiler, flags):
-    """Whether the folder `kept` could be filled with what the compiler makes of the core, without a word from it."""
+    """Whether the compiler filled the folder `kept` with its files of the core, without a message."""
     import shutil
     import subprocess
     import tempfile
@@ -49,14 +49,14 @@ def _compiled(kept, compiler, flags):
         try:
             work.rename(kept)
         except OSError:
-            shutil.rmtree(work)  # Another process was first.
+            shutil.rmtree(work)  # Another process has compiled it first.
     else:
         shutil.rmtree(work)
     return silent
 
 
 def _take(kept, output):
-    """Copy the object, under its name of the command line, and what else the compiler wrote."""
+    """Copy the object, under its name on the command line, and the other files that the compiler wrote."""
     for name in os.listdir(kept):  # noqa: PTH208
         to = output if output and name.endswith(".o") else name
         with open(to, "wb") as file:  # noqa: PTH123
@@ -64,7 +64,7 @@ def _take(kept, output):
 
 
 def _without_the_core(folder, compiler, words):
-    """Arguments of what is left to do once the core's object is at hand; None if that is nothing."""
+    """Arguments for the work that remains when the core's object exists; None if nothing remains."""
     if (
         words.count(_SOURCE) != 1
         or any(word.startswith(_OTHERWISE) for word in words)

@@ -1,7 +1,7 @@
-"""A piezoelectric stack as an electric circuit, integrated by SciPy: a second opinion on the actuator.
+"""A piezoelectric stack as an electric circuit, integrated by SciPy: an independent reference for the actuator.
 
-Nothing here is shared with the package, neither code nor coordinates. The equations are those of Goldfarb and
-Celanovic, in charges and volts:
+It shares neither code nor coordinates with the package. The equations are those of Goldfarb and Celanovic, in charges
+and volts:
 
     v = sum_i u_i + g(q / T) / T + (q - T y) / C,        u_i = (q - b_i) k_i / T^2
     km y = T (q - T y) / C + F
@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """The paper's numbers: T [N/V], km, ke [N/m], k_i [N/m], f_i [N], and g [N] at places x [m], straight between."""
+    """The paper's numbers: T [N/V], km, ke [N/m], k_i [N/m], f_i [N], and g [N] at places x [m], linear between."""
 
     ratio: float
     km: float
@@ -34,7 +34,7 @@ class Stack:
 
     @property
     def volts_per_charge(self):
-        """Of the elements."""
+        """Voltage per charge of each element."""
         return self.stiffness / self.ratio**2
 
     @property
@@ -46,18 +46,18 @@ class Stack:
         return (self.ratio * charge / self.capacitance + load) / (self.km + self.ke)
 
     def circuit_voltage(self, charge, displacement):
-        """Of the nonlinear capacitor and of the linear one."""
+        """Voltage of the nonlinear capacitor plus that of the linear one."""
         curved = line(charge / self.ratio, self.x, self.g) / self.ratio
         return curved + (charge - self.ratio * displacement) / self.capacitance
 
     def charge_of(self, voltage, slope, knots_voltage):
-        """Solve voltage = slope q + V(q) for q, V straight between the knots of g."""
+        """Solve voltage = slope q + V(q) for q; V is linear between the knots of g."""
         charges = self.ratio * self.x
         return line(voltage, slope * charges + knots_voltage, charges)
 
 
 def line(at, places, values):
-    """A line straight between places, and straight on beyond the first and the last."""
+    """A curve that is linear between the places, and continues linearly beyond the first and the last place."""
     at = np.asarray(at, float)
     k = np.clip(np.searchsorted(places, at) - 1, 0, len(places) - 2)
     slope = (values[k + 1] - values[k]) / (places[k + 1] - places[k])
@@ -84,7 +84,7 @@ def quasi_static(stack, time, voltage, resistance, *, carts=None, load=lambda t:
     charges = stack.ratio * stack.x
 
     def charge(t, b):
-        # y is eliminated: what the load adds to it does not depend on the charge.
+        # y is eliminated: the part of y due to the load does not depend on the charge.
         alone = stack.circuit_voltage(charges, stack.displacement(charges))
         return stack.charge_of(voltage(t) + e @ b + stack.ratio / c * stack.displacement(0.0, load(t)), e.sum(), alone)
 
@@ -103,7 +103,7 @@ def _slip(stack, elongation, resistance):
 
 
 def _integrated(rates, time, start, atol):
-    # No step longer than a twentieth of a branch: at a turn everything stands still for a while.
+    # No step is longer than a twentieth of a branch: near a turn all derivatives are small.
     found = solve_ivp(
         rates, (time[0], time[-1]), start, method="LSODA", t_eval=time, rtol=1e-8, atol=atol, max_step=0.05
     )

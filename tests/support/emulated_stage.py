@@ -39,7 +39,7 @@ def virtual_stage(**options):
 
 @contextmanager
 def served(*faults, speed=20.0, stage=None, **options):
-    """A server of three axes, and the bench behind it."""
+    """A server of three axes, and its virtual bench."""
     kinds = [Fault.parse(text) for text in faults]
     limits = [actual_limits(limits, kinds) for limits in LIMITS]
     bench = VirtualBench(stage or virtual_stage(), speed=speed, limits=limits, **options)

@@ -14,13 +14,13 @@ _IOCS = []
 
 
 class RemoteInstrument:
-    """The instrument of such a process, as tests of rigs look at one: at 0 V, and nothing in its log."""
+    """The instrument of an IOC process, as tests of rigs need it: at 0 V, with an empty log."""
 
     def __init__(self, ioc):
         self.__dict__["ioc"] = ioc
         ioc.do("instrument.axis.unplugged = False; instrument.stop(); instrument.axis.set_voltage(0.0)")
         ioc.do("vars(instrument.axis.log).update(lowest=0.0, highest=0.0, largest_step=0.0, steepest=0.0, refused=0)")
-        # Until the IOC has looked at it again.
+        # Wait until the IOC has read the instrument again.
         time.sleep(0.1)
 
     @property
@@ -36,7 +36,7 @@ class RemoteInstrument:
 
 @contextmanager
 def by_channel_access(longest=None, **options):
-    """Open an IOC over Channel Access, in time twice as fast; one process for all tests, of waves of any length."""
+    """Open an IOC over Channel Access, at twice the speed: one process for all tests, with waves of any length."""
     for library in ("softioc", "aioca"):
         pytest.importorskip(library, reason=f"{library} is not installed: EPICS cannot be served, or not be used")
     if not _IOCS:

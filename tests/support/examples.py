@@ -1,4 +1,4 @@
-"""How much of a slow test a push runs: a share of the examples, and of a grid; `make nightly` runs all."""
+"""The part of a slow test that a push runs: a share of the examples and of a grid; `make nightly` runs all."""
 
 import os
 from itertools import product
@@ -10,7 +10,7 @@ NIGHTLY = os.environ.get("HYPOTHESIS_PROFILE") == "nightly"
 
 
 def examples(share, *, nightly):
-    """Settings of Hypothesis with `share` examples, or those of `nightly` where that profile was chosen."""
+    """Settings of Hypothesis with `share` examples, or with those of the profile `nightly` if it was chosen."""
     return settings(max_examples=nightly if NIGHTLY else share)
 
 
@@ -20,7 +20,7 @@ def at_night(*values):
 
 
 def spanning(*columns):
-    """All combinations of some columns of values; in a push each value occurs once at least."""
+    """All combinations of some columns of values; in a push, combinations in which each value occurs at least once."""
     longest = max(map(len, columns))
     pushed = {tuple(at % len(column) for column in columns) for at in range(longest)}
     return [

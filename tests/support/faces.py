@@ -1,4 +1,4 @@
-"""What each room offers: the `__all__` of its face, which `tests/golden/public_api.txt` holds with its signatures."""
+"""The public names of each room: `__all__` of its package; `tests/golden/public_api.txt` has them with signatures."""
 
 import importlib
 
@@ -10,7 +10,7 @@ FACES = {
     "dehyst": list(importlib.import_module("dehyst").__all__),
     **{room: list(getattr(importlib.import_module(f"dehyst.{room}"), "__all__", ())) for room in _ROOMS.split()},
 }
-# Drivers are imported one by one: each needs a library or an instrument of its own.
+# Drivers are imported one by one: each needs its own library or instrument.
 DRIVERS = {
     "dehyst.instruments.epics": ["EpicsRig", "PvNames"],
     "dehyst.instruments.pi": ["PiRig"],

@@ -1,4 +1,4 @@
-"""The emulated controller with faults of its own: commands that it lacks, and answers that it is told."""
+"""The emulated controller with faults: commands that it lacks, and answers that a test sets."""
 
 from emulator import Controller
 from emulator.gcs_controller import COMMANDS, GcsError
@@ -10,7 +10,7 @@ WAVES = ["WAV", "WAV?", "WSL", "WGC", "WTR", "WGO", "WGO?", "DRC", "DRL?", "DRR?
 
 
 class FakeController(Controller):
-    """Answers lines of one axis `1`; `told` replaces what it answers to a query's first word, None by silence."""
+    """Answers lines of one axis `1`; `told` replaces its answer to the first word of a query, None by silence."""
 
     def __init__(self, *, limits=(-20.0, 120.0), clock=None, without=(), told=None, **options):
         self.clock = clock or Hand()

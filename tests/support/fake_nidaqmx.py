@@ -1,7 +1,7 @@
-"""A card in a time of its own behind a module `nidaqmx`, as the documentation of NI-DAQmx says that it behaves.
+"""A card with its own clock behind a module `nidaqmx`, which behaves as the documentation of NI-DAQmx says.
 
 Tasks reserve their channels, a clock edge reads the inputs before it changes the output, a finite generation leaves the
-output at its last sample, and so does one that is stopped.
+output at its last sample, also if it is stopped.
 """
 
 import sys
@@ -51,7 +51,7 @@ class Card:
         self.advance()
 
     def advance(self):
-        """Let all edges pass that are due."""
+        """Process all clock edges that are due."""
         for task in [task for task in self.tasks if task.running and task.outputs and task.buffer is not None]:
             due = min(task.count, int((self.now - task.began) * task.rate + 1e-6) + 1)
             for k in range(task.edges, due):
@@ -64,7 +64,7 @@ class Card:
 
 
 class Task:
-    """`nidaqmx.Task`, as far as it is used; `card` is set for each card."""
+    """The used part of `nidaqmx.Task`; `card` is set for each card."""
 
     card = None
 
@@ -82,7 +82,7 @@ class Task:
         self.close()
 
     def demand(self, kind):
-        """Refuse a task that is closed, or whose channels another one has reserved."""
+        """Refuse a task that is closed, or whose channels another task has reserved."""
         assert not self.closed
         self.card.advance()
         for other in self.card.tasks:
@@ -152,7 +152,7 @@ class Task:
 
 @contextmanager
 def opened(ranges, **options):
-    """Open the rig in `examples/instruments` on a card behind a module `nidaqmx`, in a time of its own."""
+    """Open the rig in `examples/instruments` on a card with its own clock behind a module `nidaqmx`."""
     card = Card(ranges)
     device = SimpleNamespace(product_type="PCIe-6323", ao_voltage_rngs=[0.0, 5.0, *ranges])
     parts = {

@@ -1,4 +1,4 @@
-"""The least rig that there can be: a device that is a list of voltages, in a time of its own."""
+"""The smallest possible rig: its device is a list of voltages with its own clock."""
 
 import numpy as np
 
@@ -31,7 +31,7 @@ def playing(*voltage, rate=1000.0):
 
 
 class FakeRig(AbstractRig):
-    """Yields samples in lots of ten; tests replace its methods, and look at `done`."""
+    """A rig that yields samples in batches of ten; tests replace its methods, and look at `done`."""
 
     def __init__(self, device=(-20.0, 100.0), *, device_slew=None, gain=1e-7, **options):
         self.instrument = FakeInstrument(device, gain)

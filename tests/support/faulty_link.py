@@ -1,4 +1,4 @@
-"""A pipe between a client and a controller in one process that meddles with replies."""
+"""A pipe between a client and a controller in one process; it changes replies."""
 
 import random
 import time
@@ -11,9 +11,9 @@ _LIES = ["nan", "inf", "1e999", "-1e300", "1000000", "-99999", "", "1=2=3", "0x1
 
 
 class Meddling:
-    """Changes replies: each with a probability, in one of `KINDS`; counts what it did.
+    """Changes each reply with a probability by one of `KINDS`, and counts the changes.
 
-    `number` swaps a number for another kind of number, which is then no true reply any more.
+    `number` replaces a number by another kind of number: then the reply is no longer valid.
     """
 
     def __init__(self, seed, share, kinds=KINDS):
@@ -77,7 +77,7 @@ class Meddling:
 
 
 class _Pipe:
-    """What `TcpLink` needs of a socket, with a controller at the other end; silence is told at once."""
+    """The part of a socket that `TcpLink` uses, with a controller at the other end; silence raises at once."""
 
     def __init__(self, controller, meddle):
         self.controller, self.meddle = controller, meddle
@@ -108,7 +108,7 @@ class _Pipe:
 
 
 class PipeLink(TcpLink):
-    """The real link with its socket's place taken by a pipe, and no waiting."""
+    """The real link with a pipe in place of its socket, without waiting."""
 
     def __init__(self, controller, meddle=lambda reply: reply, timeout=0.01):
         self.controller, self.meddle = controller, meddle
@@ -118,12 +118,12 @@ class PipeLink(TcpLink):
         return _Pipe(self.controller, self.meddle)
 
     def _line(self, deadline):
-        # A pipe is never slow: only the machine may be, and that is no fault of the link.
+        # A pipe is never slow. The machine may be slow, but that is no fault of the link.
         return super()._line(time.monotonic() + 60.0)
 
 
 class QuickRig(PiRig):
-    """Waits in the controller's own time."""
+    """A rig that waits by the controller's clock."""
 
     patience = 0.05
 

@@ -1,4 +1,4 @@
-"""An FMU in one's hand, and the compensators to make FMUs of."""
+"""A runner of an FMU, and compensators that are exported as FMUs."""
 
 import os
 import shutil
@@ -32,7 +32,7 @@ def _all_parts(**more):
 
 
 def compensators():
-    """Plain; without time; all parts with creep; those with a mass and a lag as well; the same looking ahead."""
+    """Compensators: plain; without time; all parts with creep; also a mass and a lag; the same with preview."""
     heavy = _all_parts(dynamics=SLOW, lag=2e-3)
     plain = replace(plain_records.plant(10, seed=4), name="plain")
     limits = 30.0, 160.0
@@ -46,7 +46,7 @@ def compensators():
 
 
 def wanted(seed=1, size=400):
-    """A path [m] of ramps, rests and steps that leaves what the limits allow on both sides."""
+    """A path [m] of ramps, rests and steps that leaves the reach on both sides."""
     rng = np.random.default_rng(seed)
     at = np.sort(rng.choice(np.arange(1, size - 1), 14, replace=False))
     y = np.interp(np.arange(size), [0, *at, size], rng.uniform(-0.1, 1.1, 16))
@@ -54,7 +54,7 @@ def wanted(seed=1, size=400):
 
 
 def voltages(compensator, path):
-    """Python's, begun where an FMU begins."""
+    """The voltages of Python, from the start of an FMU."""
     fresh = compensator._clone()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", dehyst.ClampWarning)
@@ -67,12 +67,12 @@ PATH = wanted()
 
 
 def actuator_voltages(model):
-    """Any but too fast: a random path, and beyond the limits."""
+    """Voltages of a random path that the model can follow, also beyond the limits."""
     return np.clip(PATH / plain_records.STROKE, -0.2, 1.2) * 150 + 10
 
 
 def displacements(model, volts, start=None):
-    """Of `Actuator.simulate`, from the start state on."""
+    """The displacement by `Actuator.simulate` from the start state."""
     compensator = ALL[model]
     actuator, start = compensator.actuator, compensator._axes[0].given if start is None else start
     given = np.append(actuator.voltage(start), volts)
@@ -81,7 +81,7 @@ def displacements(model, volts, start=None):
 
 
 class Slave:
-    """One instance; `said` is what it has logged: category and message."""
+    """An instance; `said` is its log: category and message."""
 
     def __init__(self, folder, *, token=None, logging=True, begin=True):
         self.description = fmpy.read_model_description(folder)
@@ -95,7 +95,7 @@ class Slave:
         from fmpy import fmi2
 
         self.fmu = fmi2.FMU2Slave(**options)
-        # A logger of no number of arguments is called as one of five.
+        # The logger is variadic: a call with five arguments is compatible.
         logger = fmi2.fmi2CallbackLoggerTYPE(lambda _, name, status, category, text: self._hear(category, text))
         self.fmu.instantiate(callbacks=fmi2.fmi2CallbackFunctions(logger=logger), loggingOn=logging)
         self.read, self.write, self.count = self.fmu.getReal, self.fmu.setReal, self.fmu.getInteger
@@ -118,7 +118,7 @@ class Slave:
         self.fmu.exitInitializationMode()
 
     def step(self, value=None, by=PERIOD):
-        """Output after a step with this input."""
+        """The output after a step with this input."""
         if value is not None:
             self.write([INPUT], [value])
         self.fmu.doStep(currentCommunicationPoint=self.time, communicationStepSize=by)
@@ -132,7 +132,7 @@ class Slave:
         return tuple(self.count([LIMITED, SLEWED]))
 
     def state(self):
-        """Serialised; what was allocated for it is free again."""
+        """The serialised state; its memory is freed."""
         state = self.fmu.getFMUState()
         data = self.fmu.serializeFMUState(state)
         self.fmu.freeFMUState(state)

@@ -1,4 +1,4 @@
-"""Write `core/tests/golden.h`, what Python computes with a model of all parts: ``python tests/support/golden_core.py``.
+"""Write `core/tests/golden.h`, results of Python with a model of all parts: ``python tests/support/golden_core.py``.
 
 The C tests of the core then need no Python.
 """
@@ -25,7 +25,7 @@ def _numbers(name, values):
 
 
 def numbers(name, header):
-    """Return an array of numbers of a header's text."""
+    """Return an array of numbers as text of a header."""
     found = re.search(rf"{name}\[\d+\] = {{(.*?)}};", header, re.DOTALL)[1]
     return [float.fromhex(word) for word in found.replace(",", " ").split()]
 

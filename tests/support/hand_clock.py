@@ -2,7 +2,7 @@
 
 
 class Hand:
-    """A clock that is set by hand."""
+    """A clock that only the test sets."""
 
     def __init__(self):
         self.time = 0.0

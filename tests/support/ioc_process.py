@@ -1,4 +1,4 @@
-"""Real EPICS controllers for tests, each a process with a port of its own on the loopback interface.
+"""Real EPICS controllers for tests, each a process with its own port on the loopback interface.
 
 The tests' own Channel Access looks at these ports only: no test disturbs another, or the network.
 """
@@ -40,13 +40,13 @@ for line in sys.stdin:
 """
 
 
-# Tests may run in several processes at once: each takes ports of its own remainder.
+# Tests may run in several processes at once: each process takes the ports with another remainder.
 _WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
 _WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
 
 
 def _free_ports(count):
-    """Ports that are free for UDP and TCP now; held until all are found, so that none comes twice."""
+    """Ports that are free for UDP and TCP; each stays open until all are found, so that none occurs twice."""
     held, ports = [], []
     while len(ports) < count:
         tcp, udp = socket.socket(), socket.socket(type=socket.SOCK_DGRAM)
@@ -56,7 +56,7 @@ def _free_ports(count):
             udp.bind(("127.0.0.1", tcp.getsockname()[1]))
         except OSError:
             continue
-        # Linux gives ports of one parity to those who ask for any.
+        # Linux gives only ports of one parity to a program that asks for any port.
         if tcp.getsockname()[1] // 2 % _WORKERS != _WORKER:
             continue
         ports.append(tcp.getsockname()[1])
@@ -85,7 +85,7 @@ def port():
 
 
 class IocProcess:
-    """An IOC around a virtual instrument; options are its own; ``actuator=``: those of a play actuator."""
+    """An IOC with a virtual instrument and its options; ``actuator=``: options of a play actuator."""
 
     def __init__(self, at=None, **options):
         self.port = port() if at is None else at
@@ -109,18 +109,18 @@ class IocProcess:
         self.kill()
 
     def do(self, statement):
-        """Do something with the `instrument`, behind the back of its clients; returns its `answer`, and the log."""
+        """Run code with the `instrument`, unseen by its clients; return the `answer`, and the log."""
         self.process.stdin.write(f"{statement}\n")
         self.process.stdin.flush()
         reply = json.loads(self._line("{"))
         return reply["answer"], reply["log"]
 
     def log(self):
-        """What the instrument ever put out, as a mapping."""
+        """The log of all output of the instrument, as a mapping."""
         return self.do("pass")[1]
 
     def kill(self):
-        """End it at once, if it has not ended."""
+        """End the process at once, if it has not ended."""
         atexit.unregister(self.kill)
         self.process.kill()
         self.process.wait()
@@ -128,7 +128,7 @@ class IocProcess:
             stream.close()
 
     def _line(self, start):
-        """The next line that begins so; EPICS has things to say, too."""
+        """The next line with this beginning; EPICS prints other lines too."""
         for line in self.process.stdout:
             if line.startswith(start):
                 return line.strip()

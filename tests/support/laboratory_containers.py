@@ -1,4 +1,4 @@
-"""Files that are easily read wrong, each beside an innocent twin: instruments' containers, clocks, units and gains."""
+"""Files that are easily misread, each with a harmless twin: containers, clocks, units and gains of instruments."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SECONDS = "time_s,voltage_V,displacement_um"
 
 
 def xlsx(dimension: str, *first: list[object]) -> Writer:
-    """A workbook whose last sheet declares a range, or none; before it a sheet with `first` as its rows."""
+    """A workbook whose last sheet declares a range, or none; the sheet before it has the rows `first`."""
 
     def write(path: Path) -> None:
         book = openpyxl.Workbook()
@@ -53,7 +53,7 @@ def text(head: str, *columns: np.ndarray, sign: str = ",", number: str = "%.9g")
 
 
 def hdf5(groups: dict[str, str], **datasets: tuple[np.ndarray, str]) -> Writer:
-    """Datasets by their names with "__" for a slash, with their own unit or none; and the units of groups."""
+    """Datasets by name ("__" for a slash), each with a unit or none; and the units of groups."""
 
     def write(path: Path) -> None:
         with h5py.File(path, "w") as file:
@@ -84,7 +84,7 @@ INDEX = np.arange(float(N))
 OLD_RUN = [SECONDS.split(","), *np.c_[T, V, UM][: N // 2].tolist()]
 DATA = {"clock__time": (T * 1e3, ""), "drive__voltage": (V, "V"), "sensor__position": (UM, "um")}
 
-# Wrong readings of each file, and the options that a user knows.
+# For each file: its misreadings, and the options that a user knows.
 TRAPS: dict[str, tuple[Writer, str]] = {
     "rows.xlsx": (xlsx("A1:C1100"), ""),
     "cell.xlsx": (xlsx("A1:C1", *OLD_RUN), ""),
@@ -101,7 +101,7 @@ TRAPS: dict[str, tuple[Writer, str]] = {
     "small.mat": (lambda path: scipy.io.savemat(path, {"data": {"time_s": T, "voltage_V": V, "pos": NM}}), ""),
     "metres.csv": (text("time_s,voltage_V,displacement_m", T, V, UM), ""),
 }
-# The same kinds of files, which state all that is needed.
+# The same kinds of files, with all statements that the reader needs.
 TWINS: dict[str, tuple[Writer, str]] = {
     "rows.xlsx": (xlsx("A1:C1201"), ""),
     "cell.xlsx": (xlsx("", ["Stage 7, 1 May"]), ""),
@@ -130,7 +130,7 @@ TWINS: dict[str, tuple[Writer, str]] = {
 
 
 def write_sound(folder: Path) -> None:
-    """Write files of each suffix; most state all that is needed."""
+    """Write files of each suffix; most of them have all statements that the reader needs."""
     np.savez_compressed(folder / "packed.npz", time_s=T, voltage_V=V, displacement_um=UM)
     with h5py.File(folder / "packed.hdf5", "w", libver="latest") as file:
         more: list[dict[str, Any]] = [{"compression": "gzip", "shuffle": True}, {"fletcher32": True}, {}]

@@ -1,4 +1,4 @@
-"""Files of one measurement as laboratories have them: what instruments, programs and people write."""
+"""Files of one measurement as instruments, programs and people in laboratories write them."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def german(text: str) -> str:
 
 
 def assert_measured(record: Record) -> None:
-    """Assert that a record is T, V and Y, from whatever time."""
+    """Assert that a record is T, V and Y; its first time may be any."""
     assert record.time - record.time[0] == pytest.approx(T, abs=1e-9)
     assert record.voltage == pytest.approx(V, abs=1e-4)
     assert record.displacement == pytest.approx(Y, abs=1e-11)
@@ -171,7 +171,7 @@ def many_channels(path: Path) -> None:
     path.write_text("t_s,CH1 (V),CH2 (V),gauge x (um),gauge y (um),T (C)\n" + rows(T, V, 0 * V, UM, 0 * V, 0 * V + 21))
 
 
-# For each file its writer and the options that a user knows before the first try.
+# For each file: its writer, and the options that a user knows before the first try.
 FILES: dict[str, tuple[Callable[[Path], None], str]] = {
     "tek.csv": (tektronix, "voltage=*100, displacement=*10 um/V"),
     "F0000CH1.CSV": (

@@ -1,4 +1,4 @@
-"""HTML that is read back: every tag is closed in order; its tags, attributes, text and the cells of its tables."""
+"""A reader of HTML: it checks that tags are closed in order, and returns tags, attributes, text and table cells."""
 
 import re
 from html.parser import HTMLParser

@@ -1,4 +1,4 @@
-"""What every model must do, here and in packages/rivals: shapes, states, errors, and the laws of both ways."""
+"""The contract of every model, here and in packages/rivals: shapes, states, errors, and laws of model and inverse."""
 
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
@@ -31,12 +31,12 @@ class ModelCandidate(NamedTuple):
 
 
 def _walk(n, seed=0):
-    """Return n voltages [V] within what every candidate takes, turning often."""
+    """Return n voltages [V] with many turns, within the range of every candidate."""
     return np.random.default_rng(seed).uniform(0.05 * _VOLTS, 0.95 * _VOLTS, n)
 
 
 def _timed(run):
-    """Give the method the time of each sample: every model takes it, and those that need none ignore it."""
+    """Give the method the time of each sample: every model takes it, and a model without time ignores it."""
 
     def at(drive, **options):
         time = 0.01 * np.arange(np.size(drive)) if np.ndim(drive) == 1 else None
@@ -90,7 +90,7 @@ class ModelContract:
         for run, drive, out in _both_ways(model):
             whole, parts, state = getattr(run(drive), out), [], None
             for start, stop in pairwise([0, 1, 17, 18, 50, drive.size]):
-                # A part begins with the sample at which the last one ended: what goes by between the two counts.
+                # A part begins with the last sample of the part before: the time between two samples counts.
                 motion = run(drive[max(start - 1, 0) : stop], state=state)
                 parts.append(getattr(motion, out)[start > 0 :])
                 state = motion.state
@@ -131,7 +131,7 @@ class ModelContract:
             assert _close(slow[::4], getattr(run(drive), out), candidate.tolerance)
 
     def test_a_larger_loop_wipes_out_smaller_ones(self, model, candidate):
-        """A loop within the last one, closed again, leaves no trace in what follows."""
+        """A closed loop within the last loop has no effect on the later displacements."""
         if _knows_time(model) or not candidate.wipes_out:
             pytest.skip("inner loops leave a trace")
         for run, drive, out in _both_ways(model):
@@ -149,7 +149,7 @@ class ModelContract:
 
     @pytest.mark.parametrize("middle", [0.15, 0.85], ids=["below", "above"])
     def test_a_displacement_beyond_the_range_is_compensated_or_refused(self, model, candidate, middle):
-        """At -30 to 60 V, and 40 to 130 V: a model may refuse a path, but not lead elsewhere."""
+        """At -30 to 60 V, and 40 to 130 V: a model may refuse a path, but must not lead to another displacement."""
         simulate, beyond = _timed(model.simulate), _walk(200, seed=6) + (middle - 0.5) * _VOLTS
         try:
             path = simulate(beyond).displacement

@@ -1,4 +1,4 @@
-"""Records of one plain actuator, with known numbers of what lies between its path and what is measured."""
+"""Records of one plain actuator, with known differences between its path and the measured displacement."""
 
 from dataclasses import replace
 from functools import cache
@@ -20,12 +20,12 @@ DYNAMICS = Dynamics(25.0, 0.04)
 
 @cache
 def plant(samples=40, hold=0):
-    """The actuator, taken along random branches of so many samples with holds between them."""
+    """The actuator along random branches of a number of samples, with holds between them."""
     return wide.plant(STRUCTURE, path=wide.wandering(40, samples=samples, hold=hold))
 
 
 def still(noise=0.0, **path):
-    """What nothing moves."""
+    """The record without any of these differences."""
     return plant(**path).record(noise=noise)
 
 
@@ -36,7 +36,7 @@ def seen(record, displacement, noise=0.0, seed=1, **changes):
 
 
 def delayed(samples, noise=0.0):
-    """The displacement so many samples late."""
+    """The displacement late by a number of samples."""
     record = still()
     return seen(record, np.interp(record.time - samples * STEP, record.time, record.displacement), noise)
 
@@ -54,7 +54,7 @@ def creeping(strains=(0.0, 0.0, 0.0), noise=0.0):
 
 
 def swinging(noise=0.0, dynamics=DYNAMICS):
-    """The displacement behind a resonance."""
+    """The displacement after a resonance."""
     moved, record = replace(plant().actuator, dynamics=dynamics), still()
     first = float(record.displacement[0])
     state = replace(turned(moved, first), motion=[first, 0.0])

@@ -1,4 +1,4 @@
-"""Compensators in WebAssembly, driven by node: what its JavaScript answers, as numbers."""
+"""Compensators in WebAssembly, run by node; the answers of its JavaScript as numbers."""
 
 import shutil
 import subprocess
@@ -25,13 +25,13 @@ const write = (name, values) => fs.writeFileSync(file(name), Float64Array.from(v
 
 @cache
 def need_node():
-    """Skip without node."""
+    """Skip the test without node."""
     if shutil.which("node") is None:
         pytest.skip("node is not installed: WebAssembly cannot be run (Debian: nodejs)")
 
 
 def exported(folder, compensator):
-    """The folder, with an export."""
+    """The folder with an export."""
     folder.mkdir(exist_ok=True)
     export(compensator, folder / "stage.wasm")
     return folder
@@ -49,5 +49,5 @@ def node(folder, program, **columns):
 
 
 def column(folder, name):
-    """A column that a program has written, as bits."""
+    """A column that a program has written, as bit patterns."""
     return np.fromfile(folder / name, dtype="<f8").view(np.uint64)

@@ -1,4 +1,4 @@
-"""Notebooks, run without a server: code cells one after the other in one namespace, their output kept.
+"""A runner of notebooks without a server: it runs the code cells in one namespace and keeps their output.
 
 `python tests/support/notebooks.py NOTEBOOK` writes the output into the file, as a notebook server would.
 """
@@ -18,7 +18,7 @@ def run(path):
     import matplotlib
 
     matplotlib.use("agg")
-    # Figures that others left open are none of a cell.
+    # Close open figures of earlier code, which are not output of a cell.
     _pictures()
     notebook, space = nbformat.read(path, as_version=4), {"__name__": "__main__"}
     count = 0

@@ -1,4 +1,4 @@
-"""An NV200/D that speaks as the maker's library `nv200` expects it, at the other end of a pseudo-terminal."""
+"""An NV200/D that answers as the maker's library `nv200` expects, at the other end of a pseudo-terminal."""
 
 import os
 import pty
@@ -20,7 +20,7 @@ POSITION, VOLTAGE = "0", "2"
 
 
 class Amplifier:
-    """The amplifier; `settings` are what queries answer, `spoil` may change an answer."""
+    """The amplifier; `settings`: answers to queries; `spoil` may change an answer."""
 
     def __init__(self, bench):
         self.bench, self.lock, self.spoil = bench, threading.Lock(), lambda _, answer: answer
@@ -77,7 +77,7 @@ class Amplifier:
 
 @contextmanager
 def amplifier(**settings):
-    """Serve an amplifier, some of whose settings are given."""
+    """Serve an amplifier with some given settings."""
     pytest.importorskip("nv200", reason="nv200 is not installed, which needs Python 3.12: no amplifier can be used")
     bench = VirtualBench(PlayActuator(highest=HIGH, noise=1e-10), limits=(LOW, HIGH))
     device = Amplifier(bench)

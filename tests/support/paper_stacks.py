@@ -11,9 +11,9 @@ CONSTANTS = {"transformer_ratio": T, "mechanical_stiffness": KM, "electrical_sti
 
 
 def paper_stack(elements=6, *, linear=False, seed=1):
-    """A stack that 200 V move from rest through about X [m of x], with the paper's grid r_i = i X / (2 N).
+    """A stack that 200 V move from rest by about X [m of x], with the paper's grid r_i = i X / (2 N).
 
-    It needs about 2 N for its friction; the rest is for h, which is keq x if `linear` and bent otherwise.
+    Its friction needs about 2 N; the rest is h, which is keq x if `linear` and a curve otherwise.
     """
     rng = np.random.default_rng(seed)
     span = 6.4 / KEQ if linear else 270e-6
@@ -34,5 +34,5 @@ def actuator_of(stack, **parts):
 
 
 def assert_proportional(errors, resistances):
-    """Each error is the resistance of the friction times one constant, but for a tenth: without one none is left."""
+    """Each error is proportional to the resistance of the friction within a tenth: it vanishes without resistance."""
     np.testing.assert_allclose(errors, errors[-1] * resistances / resistances[-1], rtol=0.1)

@@ -14,7 +14,7 @@ LOW, HIGH = -20.0, 100.0
 
 
 class Locked:
-    """An instrument that a server looks after at the same time."""
+    """An instrument that a server uses at the same time."""
 
     def __init__(self, instrument, lock):
         self.__dict__.update(instrument=instrument, lock=lock)
@@ -41,7 +41,7 @@ def _instrument(longest, **options):
 
 @contextmanager
 def by_pipe(longest=65536, **options):
-    """Open a PI controller in this process, in a time of its own."""
+    """Open a PI controller in this process, with its own clock."""
     clock = Hand()
     instrument = _instrument(longest, clock=clock)
     controller = Controller(instrument)
@@ -52,7 +52,7 @@ def by_pipe(longest=65536, **options):
 
 @contextmanager
 def by_tcp(longest=65536, **options):
-    """Open a PI controller over a socket, in time twice as fast."""
+    """Open a PI controller over a socket, at twice the speed."""
     instrument = _instrument(longest, speed=2.0)
     with (
         Server(Controller(instrument), port=0) as server,

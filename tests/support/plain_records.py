@@ -22,7 +22,7 @@ REVERSAL_CURVES = (*MAJOR, 1, 0.9, 1, 0.8, 1, 0.7, 1, 0.6, 1, 0.5, 1, 0.4, 1, 0.
 def plant(elements=10, *, seed=0, curved=0.3, share=0.4):
     """An actuator on the uniform grid over STROKE; slip elements hold about `share` of VOLTS on the major loop.
 
-    The last element never slides in a motion over STROKE and has no stiffness: it could not be told from the spring.
+    The last element never slides in a motion over STROKE and has no stiffness: it is not separable from the spring.
     """
     rng = np.random.default_rng(seed)
     rho = STROKE / (2 * elements) * np.arange(1, elements + 1)
@@ -53,19 +53,19 @@ def path(turns, samples=100):
 
 
 def falling_tops(steps, samples):
-    """Voltages [V] (n,): two major loops, then tops that descend to naught, each branch as long as the others."""
+    """Voltages [V] (n,): two major loops, then tops that descend to 0 V; all branches have the same duration."""
     lower = [1 - k / steps for k in range(steps)]
     return VOLTS / STROKE * path([0, *([1, 0] * 2), *(v for top in lower for v in (top, 0))], samples)
 
 
 def any_state(actuator, displacement, seed):
-    """Carts wherever they can be: no history needs to lead there."""
+    """Carts at random allowed positions, which need not result from any history."""
     rho = actuator.slip.breakaway
     return State(displacement, displacement + np.random.default_rng(seed).uniform(-rho, rho))
 
 
 def record(actuator, displacement, *, state=None, rate=200.0, name="made", noise=0.0, seed=0, zero=0.0):
-    """The record of a displacement path, played from `state` (default: after a long rise to the path's start)."""
+    """The record of a displacement path from `state` (default: after a long rise to the path's start)."""
     start = turned(actuator, float(displacement[0])) if state is None else state
     motion = actuator.compensate(displacement, state=start)
     sensor = displacement - zero + noise * np.random.default_rng(seed).normal(size=displacement.size)
@@ -78,7 +78,7 @@ def loops(actuator, turns, *, samples=100, **options):
 
 
 def driven(actuator, voltage, *, rate=200.0, name="driven", noise=0.0, seed=0, state=None):
-    """The record of a voltage [V], as a laboratory takes it."""
+    """The record of a voltage [V], as measured in a laboratory."""
     y = actuator.simulate(voltage, state=state).displacement
     y = y + noise * np.random.default_rng(seed).normal(size=y.size)
     return Record(np.arange(y.size) / rate, voltage, y, name)
@@ -95,6 +95,6 @@ def spring_error(found, true):
 
 
 def assert_close(got, expected, allowance):
-    """Assert that two arrays are of one shape and nowhere farther apart."""
+    """Assert that two arrays have the same shape and differ nowhere by more than a tolerance."""
     assert np.shape(got) == np.shape(expected)
     assert np.abs(np.subtract(got, expected)).max(initial=0.0) <= allowance

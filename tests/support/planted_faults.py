@@ -1,4 +1,4 @@
-"""Rigs with a planted fault each, and the rehearsal of each: run by pytest, in which every class must fail."""
+"""Rigs, each with a fault, and the rehearsal of each. pytest runs them, and every class must fail."""
 
 from contextlib import contextmanager
 
@@ -10,7 +10,7 @@ from dehyst.testing import RigCandidate, RigContract
 
 
 def in_wave(change):
-    """Return a `_wave` that changes the samples of each lot."""
+    """Return a `_wave` that changes the samples of each batch."""
 
     def wave(self, voltage, rate):
         for samples in FakeRig._wave(self, voltage, rate):
@@ -20,15 +20,15 @@ def in_wave(change):
 
 
 class Fault:
-    """Methods of the rigs with a fault in more than one line."""
+    """Methods of rigs whose fault needs more than one line."""
 
     def lie(self, voltage):
-        """Saturate at 50 V, and tell what was asked."""
+        """Saturate at 50 V, and report the requested voltage."""
         FakeRig._put(self, min(voltage, 50.0))
         self.asked = voltage
 
     def spike(self, voltage, rate):
-        """Send one voltage of a wave 5 V too high, and record what was asked."""
+        """Send one voltage of a wave 5 V too high, and record the requested voltage."""
         spiked, start = np.where(np.arange(voltage.size) == 12, voltage + 5, voltage), 0
         for lot in FakeRig._wave(self, spiked, rate):
             asked = voltage[start : start + lot.voltage.size]
@@ -41,19 +41,19 @@ class Fault:
             self.instrument.put(volts)
 
     def end_early(self, voltage, rate):
-        """Fall silent after 30 samples."""
+        """Send no more samples after 30."""
         for k, samples in enumerate(FakeRig._wave(self, voltage, rate)):
             if k < 3:
                 yield samples
 
     def boast(self, device=(-20.0, 100.0), **options):
-        """Tell wider limits than the device has."""
+        """Report wider limits than the device has."""
         FakeRig.__init__(self, (-200.0, 1000.0), **options)
         self.instrument.limits = device
 
 
 def reading(**changed):
-    """Return a `_read` in which some numbers are others: values, or functions of the rig."""
+    """Return a `_read` with some other numbers: values, or functions of the rig."""
     return lambda self: FakeRig._read(self)._replace(
         **{name: value(self) if callable(value) else value for name, value in changed.items()}
     )
@@ -81,7 +81,7 @@ FAULTS = {
 
 
 def rehearsal(name, methods):
-    """Return the class of tests of a rig with some methods of its own."""
+    """Return the class of tests of a rig with some replaced methods."""
     rig_class = type(name, (FakeRig,), methods)
 
     @contextmanager

@@ -1,6 +1,6 @@
 """The public interface as text: names and signatures of Python, and the options of the command line.
 
-After a change that is meant: python tests/support/public_api.py
+After an intended change: python tests/support/public_api.py
 """
 
 import importlib
@@ -15,13 +15,13 @@ LISTED = HERE.parent / "golden" / "public_api.txt"
 
 
 def signature(thing):
-    """Names, kinds, defaults and annotations, without what differs between runs."""
+    """Names, kinds, defaults and annotations, without text that differs between runs."""
     shown = re.sub(r" at 0x[0-9a-f]+", "", str(inspect.signature(thing)))
     return re.sub(r"ForwardRef\(('[^']*')\)", r"\1", shown)
 
 
 def of_class(name, kind, public):
-    """Lines of a class: how it is made, and its methods and properties that no other public class has."""
+    """Lines of a class: its signature, and the methods and properties that no other public class has."""
     if issubclass(kind, Enum):
         yield f"{name}: {' '.join(kind.__members__)}"
         return

@@ -1,7 +1,7 @@
-"""The second opinion on the core: the model written down as slowly and plainly as possible, in NumPy alone.
+"""An independent reference for the core: the model in the simplest form, in NumPy alone.
 
-Nothing here is shared with the package. Elements are stop operators stepped one sample at a time; a voltage is
-inverted by bisection on the strictly increasing force balance.
+It shares nothing with the package. Elements are stop operators that step one sample at a time; a voltage is inverted by
+bisection on the strictly increasing force balance.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ def line(x, knots, values):
 
 
 def smooth_step(length, closing, q, step):
-    """Elongations of smooth elements after a step: all motion onward is motion along one curve r(u).
+    """Elongations of smooth elements after a step: motion in one direction follows one curve r(u).
 
     r(u) = length (1 - exp(-u / length)) for u > 0 and (1 - exp(-rate u)) / rate for u < 0, with
     rate = (2 closing - 1) / length.
@@ -32,7 +32,7 @@ def smooth_step(length, closing, q, step):
 class Reference:
     """Slip elements, plain or graded, a transformer, smooth elements and creep, one sample at a time.
 
-    Creep is told by its low-passes z_k of y, the displacement before creep, which is found by bisection.
+    Creep has low-pass states z_k of y, the displacement before creep, which bisection finds.
     """
 
     def __init__(self, actuator, state):
@@ -67,7 +67,7 @@ class Reference:
         return held + sum(self.psi(i, y) - self.psi(i, cart) for i, cart in enumerate(carts))
 
     def low_passes(self, y, dt):
-        """Each z' = (y - z) / tau, y rising evenly from the present one within dt."""
+        """Each z' = (y - z) / tau, while y changes linearly from its present value within dt."""
         if dt == 0:
             return self.z
         part = -np.expm1(-dt / self.times)
@@ -78,7 +78,7 @@ class Reference:
         return y + float(self.gains @ self.low_passes(y, dt))
 
     def without_creep(self, u, dt):
-        """The y of which `crept` is u; it is linear in y."""
+        """The y for which `crept` is u; `crept` is linear in y."""
         still = self.crept(self.y, dt)
         follows = 1 - self.times / dt * -np.expm1(-dt / self.times) if dt else np.zeros(self.gains.size)
         return self.y + (u - still) / (1 + float(self.gains @ follows))

@@ -1,4 +1,4 @@
-"""Serve an emulated piezo controller that speaks GCS 2.0 over TCP; at the end, print what it has put out."""
+"""Serve an emulated piezo controller that speaks GCS 2.0 over TCP; at the end, print its output voltages."""
 
 import argparse
 import signal

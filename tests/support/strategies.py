@@ -56,7 +56,7 @@ def actuators(min_elements=0, max_elements=40, knots=None):
 
 
 def wide_actuators():
-    """Draw mostly small banks of elements, now and then a thousand."""
+    """Draw mostly small sets of elements, sometimes a thousand."""
     return st.one_of(actuators(), actuators(), actuators(), actuators(1000, 1000))
 
 
@@ -71,7 +71,7 @@ def volts_of(actuator):
 
 
 def slide(rho, carts, path):
-    """Move carts along a path of displacements, written down once more."""
+    """Move carts along a path of displacements: an independent implementation."""
     for y in path:
         carts = np.clip(carts, y - rho, y + rho)
     return carts
@@ -106,7 +106,7 @@ def make_path(actuator, start, seed, kind, n):
         "constant": lambda: np.full(n, rng.choice([start, knots[0], middle])),
         "jumps": lambda: middle + span * rng.standard_cauchy(n).clip(-20, 20),
         "noisy ramp": lambda: np.linspace(knots[0], knots[-1], n) + span * _noise(rng, n),
-        # About the outermost loop a state remembers: whether it has been left is a close question.
+        # Turn near the outermost loop in the state's memory: whether the path leaves this loop is a matter of rounding.
         "nested": lambda: start + reach * rng.choice([0.5, 1.5, 2.2, 4.0]) * rng.uniform(-1, 1, n),
         "break points": lambda: _on_break_points(actuator, start, rng, n),
     }
@@ -122,7 +122,7 @@ def _noise(rng, n):
 
 
 def _on_break_points(actuator, start, rng, n):
-    """Turn where elements begin to slide and where segments of the spring meet: each comparison is a tie, or nearly."""
+    """Turn where elements begin to slide or segments of the spring meet: compared numbers are nearly equal."""
     hops, path = np.concatenate([2 * actuator.slip.breakaway, [0.0]]), [start]
     for _ in range(n):
         at_knot = rng.choice(actuator.spring.displacement)
@@ -142,7 +142,7 @@ def motions(draw, bank=None, states=STATE_KINDS, paths=PATH_KINDS, max_samples=1
 
 
 def voltages_like(actuator, state, path, seed):
-    """Return voltages [V] that reach as far as the path does, but are not its compensation."""
+    """Return voltages [V] over the same range as the path's compensation, but other ones."""
     if not len(path):
         return np.zeros(0)
     v = actuator.compensate(path, state=state, extrapolate=True).voltage

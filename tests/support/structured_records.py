@@ -1,7 +1,7 @@
 """Virtual actuators of wider structures, and records of them that are exact to rounding.
 
-The parts lie where `Structure.grid` would put them for their own record, so that found and true coefficients can be
-compared one by one.
+The parts lie where `Structure.grid` would put them for this record: identified and true coefficients can be compared
+one by one.
 """
 
 from dataclasses import dataclass, replace
@@ -40,7 +40,7 @@ def wandering(branches=70, seed=5, samples=30, hold=0):
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """An actuator, the path that it is taken along, the state in which it begins, and the grid of its parts."""
+    """An actuator, its path, its first state, and the grid of its parts."""
 
     actuator: Actuator
     path: np.ndarray
@@ -82,7 +82,7 @@ def plant(structure, seed=0, path=None):
         share = 0.05 * plain_records.VOLTS * rng.uniform(0.2, 1, grid.lengths.size)
         parts["smooth"] = SmoothSlip(grid.lengths, grid.closings, share / grid.lengths / grid.lengths.size)
     actuator = Actuator(**parts)
-    # Smooth elements begin at none, as the program takes them to; what they forget would take many cycles.
+    # Smooth elements begin at zero, as the program assumes; they would forget another start only after many cycles.
     state = replace(turned(actuator, float(y[0])), smooth=np.zeros(grid.lengths.size))
     if structure.transformer:
         drive = actuator.compensate(y, time=np.arange(y.size) / RATE, state=state).voltage
@@ -122,14 +122,14 @@ def moved_along(grid, piece, lead):
 
 
 def program(grid, records, *, leads=()):
-    """The program of records as they are: no smoothing, no search for anything."""
+    """The least-squares program of records, without smoothing and without a search."""
     pieces = list(enumerate(records))
     source = RowSource.of(pieces, grid, [0.0] * len(pieces), leads=leads or [None] * len(records))
     return Program(source.thinned(len(source)), grid, FLOOR, 0.0)
 
 
 def _rough(**parts):
-    """A structure whose neighbours may be as unlike as a random actuator's are: only so is that one met exactly."""
+    """A structure whose neighbours may differ as in a random actuator: only then can it match this actuator exactly."""
     return Structure(smoothing=0.0, **parts)
 
 
@@ -145,7 +145,7 @@ STRUCTURES = {
 
 
 def frame(records, **motion):
-    """What an identification of these records begins with; `motion`: numbers of what moves that are known."""
+    """The start of an identification of these records; `motion`: known numbers of the motion."""
     training = [prepare(record) for record in records]
     spans = [float(np.ptp(item.span())) for item in training]
     volts = np.array([record.voltage_range for record in records])

@@ -1,4 +1,4 @@
-"""One actuator of each kind of model that an identification may choose, on one stroke and one range of voltages."""
+"""An actuator of each kind of model that an identification may choose, with the same stroke and voltage range."""
 
 import numpy as np
 
@@ -29,5 +29,5 @@ NEEDING_TIME = ("creep", "inertia", "lag", "all")
 
 
 def anatomy(kind):
-    """An actuator of that kind."""
+    """An actuator of the given kind."""
     return Actuator(**{**_BASE, **PARTS[kind]})

@@ -1,4 +1,4 @@
-"""Text files of laboratories that are easily read wrong, each with an innocent twin that must be read."""
+"""Text files of laboratories that are easily misread, each with a harmless twin that must be read."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NOISY = np.interp(FAST, T, UM) + NOISE * np.random.default_rng(3).standard_norma
 
 
 class Trap(NamedTuple):
-    """A file that is easily read wrong; `twin`: an innocent file that looks alike; of both the texts of columns."""
+    """A file that is easily misread; `twin`: a harmless file that looks alike; and the texts of columns of both."""
 
     trap: Callable[[Path], None]
     twin: Callable[[Path], None]
@@ -39,7 +39,7 @@ def comma(values: np.ndarray, digits: int) -> list[str]:
 def table(
     sign: str, head: str, *columns: Iterable[str], cut: int = 0, encoding: str = "utf-8"
 ) -> Callable[[Path], None]:
-    """A writer of a table; `cut`: bytes that its end lacks."""
+    """A writer of a table; `cut`: number of bytes that are missing at the end."""
 
     def write(path: Path) -> None:
         lines = [head.replace(",", sign), *(sign.join(cells) for cells in zip(*columns, strict=True))]
@@ -66,7 +66,7 @@ def sheet(table: Iterable[Iterable[object]]) -> Callable[[Path], None]:
 
 
 def both(first: Callable[[Path], None], second: Callable[[Path], None]) -> Callable[[Path], None]:
-    """A writer of a file and of the file beside it that is joined to it."""
+    """A writer of a file and of `second.csv` beside it, which is joined to it."""
 
     def write(path: Path) -> None:
         first(path)
@@ -100,7 +100,7 @@ SEVENTH, PAIRED = range(9, N - 3, 7), list(enumerate(np.c_[V, UM].tolist()))
 LATE, HOLE, FEW, THIRD = T >= 0.1, (T < 0.5) | (T > 2.0), np.arange(N) % 100 == 0, np.arange(N) % 3 == 0
 TIMES_NM = "time_s,voltage_V,displacement_nm"
 DAY_FIRST = "%d/%m/%Y %H:%M:%S.%f"
-# An hour more from the middle on, as clocks go on in spring.
+# From the middle on, the clock is an hour ahead, as in summer time.
 SUMMER = [text if k < 600 else text.replace("T12", "T13") for k, text in enumerate(stamps(T))]
 
 TRAPS: dict[str, Trap] = {

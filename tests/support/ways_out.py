@@ -1,7 +1,7 @@
-"""Random lives through every way by which a voltage leaves: none may leave the limits or jump from the present voltage.
+"""Random sequences of all calls that send a voltage: it must not leave the limits or jump from the present voltage.
 
-A jump is a change beyond slew rate times time, from the voltage before; that before the first one counts too. What is
-refused moves nothing, run is step by step, and the state is where a simulation of the voltages that were sent leads.
+A jump is a larger change than slew rate times time, also from the voltage before the first one. A refused call changes
+nothing, `run` equals steps, and the state equals that of a simulation of the sent voltages.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ COUNTS = {"m": 1.0, "um": 1e6, "nm": 1e9}
 CARRIERS = ("list", "array", "series")
 PARTS = (*("plain",) * 9, *("transformer", "graded") * 3, "creep", "creep", "dynamics", "lag", "smooth", "all")
 HOSTILE = (np.nan, np.inf, -np.inf, 1e308, -1.7e308, 1e281, -1e281, 1e100, -1e100, 1e30, -1e16, 5e-324, -1e-310, -0.0)
-# How often each call is made, in 1000; slow ones are rare.
+# Frequency of each call, in 1000; slow calls are rare.
 SHARES = {
     "step": 250,
     "offer": 80,
@@ -51,7 +51,7 @@ SHARES = {
 
 
 def carried(rng, path, units):
-    """A path [m] as someone may give it to a compensator in `units`."""
+    """A path [m] as a user may give it to a compensator in `units`."""
     kind, plain = str(rng.choice(CARRIERS)), path * COUNTS[units]
     if kind == "list":
         return plain.tolist()
@@ -61,7 +61,7 @@ def carried(rng, path, units):
 
 
 def one(rng, wanted, units):
-    """A single displacement [m] likewise."""
+    """A single displacement [m] as a user may give it."""
     return (float, np.float64)[rng.integers(2)](wanted * COUNTS[units])
 
 
@@ -145,7 +145,7 @@ class Life:
         return min(max(self.actuator.voltage(state), self.low), self.high)
 
     def hold_against(self, call, voltage, present, intervals, slew=None, slack=1e-9):
-        """Hold voltages (n,) [V] that leave, with the seconds (n,) before each, against limits and slew rate."""
+        """Check voltages (n,) [V] that are sent, with the time (n,) [s] before each, against limits and slew rate."""
         voltage, slew = np.atleast_1d(np.asarray(voltage, dtype=float)), self.slew if slew is None else slew
         self.note("voltages")
         tolerance = 2e-12 * (self.high - self.low)
@@ -177,7 +177,7 @@ class Life:
         self.sent("hold", self.loop.voltage)
 
     def run(self):
-        """A run, the same steps in a copy, and the same run in one that goes on from a snapshot."""
+        """A run, the same steps in a copy, and the same run in a copy from a snapshot."""
         path = carried(self.rng, self.path(), self.units)
         twin = copy.deepcopy(self.loop) if self.rng.random() < 0.8 else pickle.loads(pickle.dumps(self.loop))
         other = self.loop._clone()
@@ -204,7 +204,7 @@ class Life:
         self.before, self.start, self.history = self.loop.voltage, self.loop.state, []
 
     def refused(self):
-        """What is no number, or leads nowhere, moves nothing; what is accepted is forgotten again."""
+        """An invalid or unreachable displacement changes nothing; an accepted one is undone."""
         loop, before, bad = self.loop, self.loop.snapshot(), float(self.rng.choice(HOSTILE))
         calls = (loop.step, loop.commit, lambda x: loop.run([0.0, x]), lambda x: follow(loop._axes[0], [x], time=[0.0]))
         far = self.low - 1.5 * (self.high - self.low)
@@ -222,7 +222,7 @@ class Life:
             loop.restore(before)
 
     def damaged(self):
-        """A snapshot with a damaged number is refused, or the loop goes on within limits and slew rate."""
+        """A snapshot with a damaged number is refused, or the loop continues within limits and slew rate."""
         loop, data = self.loop._clone(), bytearray(self.loop.snapshot())
         if self.rng.random() < 0.8:
             # A number, with the checksum that belongs to it.
@@ -240,7 +240,7 @@ class Life:
             self.finite(loop)
 
     def preview(self):
-        """The same with a compensator that looks a sample ahead."""
+        """The same with a compensator with preview."""
         own = self.loop, self.before, self.history
         self.loop = Compensator(self.actuator, None, self.slew, preview=True, **self.options)
         self.before, self.history = self.loop.voltage, []
@@ -257,7 +257,7 @@ class Life:
                 self.findings.append(f"{self.kind}: the {name} is not finite")
 
     def end(self):
-        """Where it is must be where its voltages lead."""
+        """The state must be that to which its voltages lead."""
         self.finite(self.loop)
         if self.kind in ("lag", "dynamics", "all") or not self.history:
             return
@@ -297,7 +297,7 @@ class Life:
         self.homed("plan_path", path, present=present)
 
     def lead(self):
-        """From a state at rest within the limits."""
+        """A path from a state at rest within the limits."""
         state = self.actuator.relaxed(float(np.clip(0.0, self.low, self.high)))
         if self.kind not in ("dynamics", "lag", "all"):
             voltage = [self.rng.uniform(self.low, self.high)]
@@ -364,12 +364,12 @@ class Life:
             self.hold_against("bank", np.append(first[j], later[:, j]), present, self.period)
 
     def rig(self):
-        """What a rig plays: refused, or led to within the slew rate."""
+        """An excitation on a rig: it is refused, or a ramp within the slew rate leads to it."""
         # Its list of voltages begins at 0 V.
         limits = min(self.low, 0.0), max(self.high, 1.0)
         rig = FakeRig(limits, limits=limits, slew_rate=self.slew)
         waits, wait = {}, rig._wait
-        # Before each voltage, by its number.
+        # Waits before each voltage, by the number of the voltage.
         vars(rig)["_wait"] = lambda seconds: (
             waits.update({(at := len(rig.instrument.sent)): waits.get(at, 0.0) + seconds}),
             wait(seconds),
@@ -385,7 +385,7 @@ class Life:
 
 
 def play(seed, case, note):
-    """Play one life; return what is wrong."""
+    """Play one sequence of calls; return the faults."""
     rng = np.random.default_rng([seed, case])
     names, shares = list(SHARES), np.array([*SHARES.values()]) / sum(SHARES.values())
     with warnings.catch_warnings():

@@ -1,4 +1,4 @@
-"""A workbench in a process of its own, and a client of its page."""
+"""A workbench in its own process, and a client of its page."""
 
 import os
 import re
@@ -12,7 +12,7 @@ import httpx
 from command_line import DEHYST, TIMEOUT
 
 LINK = re.compile(r"(http://127\.0\.0\.1:(\d+))/\?token=(\S+)")
-# Seconds between two looks at the state.
+# Seconds between two readings of the state.
 _LOOK = 0.05
 
 
@@ -111,7 +111,7 @@ def _folder_of(number):
 
 @contextmanager
 def held(folder):
-    """Hold the worker of a folder still, as soon as it exists."""
+    """Stop the worker of a folder as soon as it exists."""
     deadline = time.monotonic() + TIMEOUT
     while not (numbers := workers(folder)):
         assert time.monotonic() < deadline, "no worker was started"

@@ -1,4 +1,4 @@
-"""What a person does on the page of a workbench, in a real browser: for tests, pictures and measurements."""
+"""The actions of a person on the page of a workbench, in a real browser: for tests, pictures and measurements."""
 
 import re
 import shutil
@@ -29,7 +29,7 @@ def chromium():
 
 
 def colours(place):
-    """How many colours a canvas shows, or the canvases in a place."""
+    """Number of colours of a canvas, or of the canvases in a place."""
     return place.evaluate(
         """element => {
             const canvases = element.tagName === "CANVAS" ? [element] : [...element.querySelectorAll("canvas")];
@@ -58,7 +58,7 @@ class Visitor:
         self.served, self.clicks, self.complaints, self.elsewhere = served, 0, [], []
         self.page = self.tab()
         self.page.goto(served.link)
-        # The link's own page leads to the workbench's; what is done before that is lost.
+        # The page of the link redirects to the workbench; actions before that are lost.
         self.page.wait_for_url(re.compile(re.escape(served.base) + "/(#.*)?$"))
 
     def tab(self):
@@ -77,7 +77,7 @@ class Visitor:
         self.context.close()
 
     def click(self, role, name, *, within=None, exact=False):
-        """Click a thing of this role and name that is visible."""
+        """Click the visible element with this role and name."""
         place = self.page if within is None else self.page.locator(within)
         place.get_by_role(role, name=name, exact=exact).locator("visible=true").first.click()
         self.clicks += 1
@@ -104,7 +104,7 @@ class Visitor:
         self.page.wait_for_function(function, arg=argument, polling=50)
 
     def identify(self, *, structure=None):
-        """Identify a model from the records, and wait for the verdict."""
+        """Identify a model from the records, and wait for the promise."""
         if structure is not None:
             self.page.locator("#records").get_by_text("Options", exact=True).click()
             self.page.locator("#records").get_by_label("Structure").select_option(structure)

@@ -1,4 +1,4 @@
-"""The tutorial of the workbench, played in a real browser: its steps as a test, and its pictures.
+"""The tutorial of the workbench in a real browser: its steps are a test, and its pictures are written.
 
 `python tests/support/workbench_tour.py FOLDER` writes the pictures there: `make pictures` does so for the tutorial.
 """
@@ -40,7 +40,7 @@ def tour(visitor, csv, look):
 
 
 def played(folder, browser):
-    """Play the tour with a workbench of its own; write NAME.png into a folder for each picture; return complaints."""
+    """Play the tour with a new workbench; write NAME.png into a folder for each picture; return complaints."""
     with tempfile.TemporaryDirectory() as place:
         loops = Path(place) / "loops.csv"
         write_record(loops, demo.record_loops(PlayActuator())[0])
@@ -49,7 +49,7 @@ def played(folder, browser):
             def shot(name):
                 top = "window.scrollTo({ top: 0, behavior: 'instant' })"
                 visitor.page.evaluate(f"() => {{ document.activeElement?.blur(); {top}; }}")
-                # A frame later all is drawn.
+                # The next frame has everything drawn.
                 visitor.page.wait_for_timeout(300)
                 visitor.page.screenshot(path=str(Path(folder) / f"{name}.png"))
 
