@@ -1,10 +1,10 @@
-"""Cleaning of a record: what a fit leaves out, each with one sentence.
+"""Cleaning of a record: it leaves out what would mislead a fit, and states each finding in one sentence.
 
-Glitches of the voltage and spikes of the displacement are short excursions that go away and come back at once. They are
-larger than the signal's steps nearby, its noise, its resolution and most of its excursions; and the other signal has
-none, now or somewhat later. If the sensor is too noisy to show that, the voltage is not changed. With hysteresis alone,
-the displacement turns back only where the voltage does. After a step of the voltage it turns back by itself if a mass
-swings or an amplifier overshoots: such a transient is real, but no model without inertia follows it.
+Glitches of the voltage and spikes of the displacement are short excursions: the signal leaves its course and returns at
+once. They exceed the signal's steps nearby, its noise, its resolution and most of its excursions, and the other signal
+does not follow them, at once or later. If the sensor is too noisy to show that, the voltage is not changed. With
+hysteresis alone, the displacement turns back only where the voltage does. After a step of the voltage it also turns by
+itself if a mass swings or an amplifier overshoots: such a transient is real, but no model without inertia follows it.
 """
 
 from __future__ import annotations
@@ -28,39 +28,39 @@ if TYPE_CHECKING:
 
     from dehyst.records.record import Record
 
-# Most samples of an excursion, and of neighbours that show the usual steps; least size of an excursion, as a part of
-# the range, and in standard deviations of the noise.
+# Number of neighbouring samples that show the usual steps; least size of an excursion, as a part of the range, and in
+# standard deviations of the noise.
 _NEAR, _LEAST, _SIGMAS = 8, 0.02, 8.0
-# A step: largest number of samples, least ratio to the steps nearby, and least part of it in one sample.
+# A step: largest number of samples, least ratio to the steps nearby, least change in one sample, in least sizes.
 _WIDEST_STEP, _TIMES, _PART = 8, 8.0, 0.05
-# Least motion against the voltage, as parts of the displacement's step and range.
+# Least swing that the voltage does not cause, as a part of the displacement's step and of its range.
 _SWING, _VISIBLE = 0.02, 0.002
-# Largest gain of a displacement away from a turn, as a multiple of the mean gain.
+# Largest gain after a turn that the voltage can cause, as a multiple of the mean gain.
 _STEEP = 3.0
-# Samples after a step within which the displacement must turn back; samples that are searched at a time.
+# Samples after a step within which the displacement must turn back; samples that are searched after a step.
 _SOON, _AHEAD = 400, 4096
-# Latest next turn of a ring, in its usual half periods; the first half periods may be longer.
+# Longest time to the next turn of a ring, in usual half periods; the first two turns have no such bound.
 _LATE = 2.5
 # A ring ends below this part of the range, or below the noise; at most, it lasts this multiple of its visible part.
 _FADED, _LONGEST_RING = 5e-4, 3.0
-# An overshoot without swings ends after this number of half-lives; number of displacements for the levels beside it.
+# An overshoot without swings ends after this number of half-lives; number of samples whose mean is a level.
 _HALVES, _LEVEL = 8, 8
 # Least number of samples of a record that shows excursions; largest numbers of samples of a glitch and of a spike;
 # least size of a spike; largest part of a record that can be spikes.
 _SHORTEST, _WIDEST, _WIDEST_SPIKE, _LEAST_SPIKE, _MOST_SPIKES = 20, 5, 3, 0.005, 0.05
-# Least size of an excursion as a multiple of: a step of the resolution, the usual excursion, the steps nearby; at an
-# end of the record, the largest step.
+# Least size of an excursion, as a multiple of a step of the resolution, of the usual excursion, and of the steps
+# nearby; at an end of the record, as a multiple of the largest step.
 _DIGITS, _USUAL, _STEPS, _STEPS_AT_END = 1.5, 1.5, 1.5, 3.0
-# Least share of its mean gain with which the displacement follows: a small excursion moves an actuator by half of the
-# mean slope, and half of that can fall between two samples. Multiple of the noise deviation below which it is hidden,
-# and gain next to a turn, and at an end, over the mean gain.
+# Least share of its mean gain with which the displacement follows: a small excursion moves an actuator with half of the
+# mean gain, and half of this motion can fall between two samples. Noise hides a motion below this multiple of its
+# deviation. Largest gain next to a turn and at an end, relative to the mean gain.
 _FOLLOWS, _SEEN, _STEEPER, _STEEP_AT_END = 0.2, 2.0, 2.0, 5.0
 # Largest lag of the displacement, as a part of a cycle, and the bounds of this lag in samples.
 _LAG, _LAGS = 0.05, (8, 64)
 # Longer excursions, such as a channel that drops out: most samples, largest part of a cycle, least part of the range.
 _LONGEST, _LONGEST_PART, _LEAST_LONG = 200, 0.25, 0.2
-# Fewest new samples a cycle. Jumps of a zero: samples on each side from whose cubic it stands out, how often it exceeds
-# what noise explains and what that cubic leaves, and most jumps in a record: many are none of a zero.
+# Fewest new samples a cycle. Jumps of a zero: samples on each side to which a cubic is fitted; least jump, in noise and
+# in residuals of that cubic; most jumps in a record, because a zero jumps rarely.
 FEWEST_NEW, _BESIDE, _DISTINCT, _CLEAR, _MOST_JUMPS = 12, 12, 3.3, 4.0, 3
 # Number of passes (later passes find excursions hidden by others), and of candidates processed at a time.
 _PASSES, _BLOCK = 20, 1 << 14
@@ -78,7 +78,7 @@ class Cleaned(NamedTuple):
 
 
 def cleaned(record: Record, *, ringing: bool = False) -> Cleaned:
-    """Leave glitches and repeats out, put lines in place of spikes; set transients aside, as paths unless `ringing`."""
+    """Leave out glitches, repeats and transients, which a path replaces unless `ringing`; put lines for spikes."""
     bad, sentences = glitches(record.voltage, record.displacement), list[str]()
     if stray := runs(bad):
         a, b = stray[0]
@@ -101,13 +101,13 @@ def cleaned(record: Record, *, ringing: bool = False) -> Cleaned:
         rate = np.count_nonzero(new) / float(np.ptp(record.time))
         sentences.append(
             f"the displacement is new only at about every {round(1 / float(new.mean()))}th sample ({rate:.3g} Hz): "
-            "those that repeat it are left out."
+            "samples that repeat the one before are left out."
         )
         record = record[new]
     for after, height in zero_jumps(record):
         record = replace(record, displacement=record.displacement - height * (np.arange(len(record)) >= after))
         words = f"the zero of the sensor jumps by {1e6 * height:.4g} um at {record.time[after]:.6g} s"
-        sentences.append(f"{words}, which no voltage explains: what follows is moved back.")
+        sentences.append(f"{words}, which no voltage explains: the later samples are moved back.")
     known = signals.counting(record)
     bad = spikes(record.voltage, record.displacement) & (True if known is None else known)
     if bad.any():
@@ -127,7 +127,7 @@ def _more(places: Sequence[object]) -> str:
 
 
 def zero_jumps(record: Record) -> list[tuple[int, float]]:
-    """Return the sample after each jump of the displacement without one of the voltage, and its height [m]."""
+    """Return jumps of the displacement where the voltage does not jump: the sample after each, and its height [m]."""
     v, y, counted = record.voltage, record.displacement, signals.counting(record)
     scales, place = _Signals.of(v, y, 0.0), np.arange(2 * _BESIDE) - _BESIDE + 0.5
     if scales is None or not scales.gain or len(record) < place.size:
@@ -144,7 +144,7 @@ def zero_jumps(record: Record) -> list[tuple[int, float]]:
     found = np.abs(heights) > np.maximum(least, _STEEP_AT_END * scales.gain * latest)
     beside = sliding_window_view(y, place.size)[found]
     left = _CLEAR * np.abs(beside - beside @ (columns @ solve).T).max(axis=1)
-    # A bend where it moves is no jump.
+    # A bend of a moving displacement is no jump.
     found[found] = np.abs(heights[found]) > np.maximum(left, np.median(np.abs(np.diff(beside)), axis=1))
     tops = [start + int(np.argmax(np.abs(heights[start:stop]))) for start, stop in runs(found)]
     return [(top + _BESIDE, float(heights[top])) for top in tops] if len(tops) <= _MOST_JUMPS else []
@@ -180,7 +180,7 @@ def settled(record: Record, found: Sequence[tuple[int, int, int]]) -> Array:
     gain = float(np.ptp(record.displacement)) / max(float(np.ptp(v)), 1e-300)
 
     def level(part: slice, at: int) -> float:
-        """Mean displacement at samples, as if all had the voltage of one."""
+        """Mean displacement of samples, each moved by the gain to the voltage of sample `at`."""
         return float(np.mean(y[part] - gain * (v[part] - v[at])))
 
     for start, jump, stop in found:
@@ -211,13 +211,13 @@ def _rings_until(record: Record, start: int, jump: int, end: int) -> int:
         return 0
     over = float(turns[-1])
     if len(turns) < 3:
-        # The samples in which half of the overshoot is gone; its peak is the first.
+        # Count the samples from the peak until half of the overshoot is gone.
         rest = (y - gain * v)[turns[-1] : turns[-1] + _SOON]
         away = np.abs(rest - np.median(rest[rest.size // 2 :]))
         over += _HALVES * (int(np.argmax(away < 0.5 * away[0])) + 1 if away[0] else 1)
     else:
         half, swings = (turns[-1] - turns[0]) / (len(turns) - 1), np.abs(np.diff(y[turns]))
-        # The size falls by the same factor each half period.
+        # The swings decay by the same factor each half period.
         fall = -float(np.polyfit(np.arange(swings.size), np.log(swings), 1)[0])
         left = log(max(0.5 * float(swings[-1]) / max(_FADED * stroke, noise), 1.0))
         over += half * min(2 + left / max(fall, 1e-3), _LONGEST_RING * len(turns))
@@ -225,7 +225,7 @@ def _rings_until(record: Record, start: int, jump: int, end: int) -> int:
 
 
 def _own_turns(v: Array, y: Array, jump: int, least: float, gain: float) -> list[int]:
-    """Return the turns of the displacement after a step that the voltage does not have, while they follow closely."""
+    """Return the turns of the displacement after a step that the voltage does not cause, up to the first long pause."""
     turns = [int(turn) for turn in turning_points(y, least) if turn >= jump]
     own: list[int] = []
     for last, turn in pairwise([jump, *turns]):
@@ -252,7 +252,7 @@ def spikes(voltage: Array, displacement: Array) -> Mask:
 
 
 def _excursions(values: Array, other: Array, least: float, *, ends: bool = False, **options: Any) -> Mask:
-    """Return the samples of excursions that another signal does not have, at the record's ends also if asked."""
+    """Return the samples (n,) in excursions that the other signal does not show; with `ends`, also at the ends."""
     bad, clean, places = np.zeros(len(values), dtype=bool), values, np.arange(len(values))
     for _ in range(_PASSES if len(values) >= _SHORTEST else 0):
         signals = _Signals.of(clean, other, least, **options)
@@ -269,9 +269,9 @@ def _excursions(values: Array, other: Array, least: float, *, ends: bool = False
 class _Signals(NamedTuple):
     """Voltage and displacement (n,), and what counts as large in them.
 
-    `least`, `sensor`: voltage and displacement that noise explains; `gain`: displacement per volt; `lag`: most samples
-    of a lag; `span` [V]; `longest`, `widest`: samples of excursions; `way`: 1 if `y` follows, -1 if it leads; `steep`:
-    its gain next to a turn, over the mean.
+    `least`, `sensor`: largest voltage and displacement that noise explains; `gain`: displacement per volt; `lag`:
+    longest lag in samples; `span`: range of `v`; `longest`, `widest`: most samples of an excursion; `way`: 1 if `y`
+    follows, -1 if it leads; `steep`: gain of `y` next to a turn, relative to the mean.
     """
 
     v: Array
@@ -301,7 +301,7 @@ class _Signals(NamedTuple):
         return cls(v, y, least, **(scales | options))
 
     def inner(self) -> Stretches:
-        """Return start and stop of excursions with neighbours on both sides that the other signal does not follow."""
+        """Return start and stop of excursions inside the record that the other signal does not follow."""
         candidates: list[tuple[float, int, int]] = []
         steps = np.diff(self.v)
         jumps, far_jumps = (
@@ -316,7 +316,7 @@ class _Signals(NamedTuple):
             before = before[size > max(self.least, _USUAL * float(np.quantile(far, 1 - 0.02 / width)))]
             for begin in range(0, before.size, _BLOCK):
                 candidates += self._isolated(before[begin : begin + _BLOCK], width)
-        # Longer ones, from one large jump to the next.
+        # Longer excursions go from one large jump to the next.
         for first, last in pairwise(far_jumps.tolist()):
             if self.widest < last - first <= self.longest:
                 long = self._isolated(np.array([first]), last - first)
@@ -325,19 +325,19 @@ class _Signals(NamedTuple):
             return []
         from scipy.ndimage import median_filter
 
-        # Without excursions as short as a glitch, but with steps.
+        # This filter removes excursions as short as a glitch, and keeps steps.
         without_pulses = np.asarray(median_filter(self.v, 2 * self.widest + 1, mode="nearest"), dtype=np.float64)
         return _separate([found for found in candidates if not self._follows(found[1], found[2], without_pulses)])
 
     def _isolated(self, before: Indices, width: int) -> list[tuple[float, int, int]]:
-        """Return size, start and stop of excursions after samples that come back and exceed the steps nearby."""
+        """Return size, start and stop of excursions after `before` that return and exceed the steps nearby."""
         after, ends = before + width + 1, np.arange(_NEAR + 1)
         beside = [np.clip(places, 0, self.v.size - 1) for places in (before[:, None] - ends, after[:, None] + ends)]
         steps = np.abs(np.hstack([np.diff(self.v[places]) for places in beside]))
         slew = (width + 1) * np.quantile(steps, 0.75, axis=1)
         away = _from_chord(self.v, before, width)
         size = np.abs(away).min(axis=1)
-        # At an edge of the voltage, within half of the excursion.
+        # At an edge of the voltage, it returns to within half of the excursion only.
         back = np.abs(self.v[after] - self.v[before]) <= np.maximum(self.least + _STEPS * slew, 0.5 * size)
         kept = back & (size > self.least + _STEPS / 2 * slew) & (_FOLLOWS * self.gain * size > self.sensor)
         return [(d, a + 1, a + 1 + width) for d, a in zip(size[kept].tolist(), before[kept].tolist(), strict=True)]
@@ -350,12 +350,12 @@ class _Signals(NamedTuple):
         along = _from_chord(self.y, start - 1 + late, width, beside=1) @ away / (width * size)
         near = start - 1 + np.arange(-self.lag, self.lag + 1)
         corner = float(np.abs(_from_chord(without_pulses, near, width, beside=1)).max())
-        # A long excursion is a pulse that is left.
+        # The filter keeps a long excursion, which is not a corner.
         allowed = _FOLLOWS * size + self.steep * corner * (width <= self.widest)
         return bool(along.max() > self.gain * allowed)
 
     def at_ends(self) -> Stretches:
-        """Return excursions at the ends, by mirror images there, if larger than a late displacement explains."""
+        """Return excursions at the mirrored ends of the record that are larger than a late displacement explains."""
         size, beside = len(self.v), 4 * _NEAR
         usual = float(np.abs(np.diff(self.v[_WIDEST:-_WIDEST])).max())
         v, y = (np.pad(signal, beside, "reflect") for signal in (self.v, self.y))
@@ -367,7 +367,7 @@ class _Signals(NamedTuple):
 def _from_chord(values: Array, before: Indices, width: int, beside: int = 0) -> Array:
     """Return deviations (k, width) of samples after `before` from a chord over them and `beside` more on each side."""
     last, span = len(values) - 1, width + 1 + 2 * beside
-    # The minimum of the maximum is `numpy.clip` in a third of its time.
+    # This does what `numpy.clip` does, in a third of the time.
     left, right = (values[np.minimum(np.maximum(i, 0), last)] for i in (before - beside, before + width + 1 + beside))
     inside = np.arange(1, width + 1)
     chord = left[:, None] + (right - left)[:, None] * ((inside + beside) / span)

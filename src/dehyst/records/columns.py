@@ -1,4 +1,4 @@
-"""How a file is read: the one text of columns, units and scales, of the library, of --columns and of the page."""
+"""How a file is read: one text of columns, units and scales, for the library, --columns and the page."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from dehyst._units import FACTORS, in_si, quantity_of, symbol_of
 from dehyst._validation import Numbers, axis_names, choice
 from dehyst.records.formats.column import GAIN, GUESS, QUANTITIES
 
-# Placeholder for the samples a second.
+# Placeholder for the sample rate.
 RATE = "HZ"
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _FACTOR = re.compile(rf"({_NUMBER}|{GAIN})\s*(?:([^\s/*]+)\s*/\s*([^\s/*]+))?")
 _PERIODIC = re.compile(rf"(fringe|grating)\s+({_NUMBER})\s*([^\W\d]*)", re.IGNORECASE)
 HOLDS = ("line", "sample")
 _COLUMNS = ("time", "voltage", "displacement", "temperature")
-# Keys of the columns of a file: of a record, of a voltage, of a path.
+# Keys that are allowed for the file of a record, of a voltage, and of a path.
 RECORD = (*_COLUMNS, "rate", "hold", "join", "decimal")
 VOLTAGE = tuple(key for key in RECORD if key not in ("displacement", "hold"))
 PATH = tuple(key for key in RECORD if key not in ("voltage", "hold"))
@@ -33,7 +33,7 @@ _ABOVE_0 = Numbers(positive=True, optional=True, error=FileFormatError)
 
 
 class Scale(NamedTuple):
-    """`factor` of `unit` for one of `per`; `kind`: "fringe" or "grating" that repeats every `factor` of `unit`."""
+    """`factor` times `unit` for each `per`; a `kind`, "fringe" or "grating", repeats after `factor` times `unit`."""
 
     factor: float
     unit: str = ""
@@ -49,7 +49,7 @@ class Scale(NamedTuple):
             return cls(number, symbol_of(periodic[3]), "", periodic[1].lower())
         if match and isfinite(number) and number:
             return cls(number, match[2] or "", match[3] or "")
-        need = "a number from the data sheet, not 0; of a fringe or a grating a length above 0, as *fringe 316.4 nm"
+        need = "a number from the data sheet, not 0; for a fringe or a grating a length above 0, as *fringe 316.4 nm"
         raise FileFormatError(argument="columns", got=f"*{text}", need=need)
 
     def __str__(self) -> str:
@@ -123,23 +123,23 @@ class Columns:
     Parameters
     ----------
     time, voltage, displacement, temperature : str, optional
-        ``NAME:UNIT*SCALE?``, of which everything but the name is optional. NAME: of the column, or its number, from 1
-        on; without it, the column is found by its name. UNIT: where the file states none. SCALE: a factor, as that of
-        an amplifier whose monitor the column is (100), or a factor with units, that of the quantity and that of the
-        column (10 um/V, 25 V/A); or, of a displacement, what a periodic signal repeats: "fringe 316.4 nm", "grating 3
-        um". "?": a guess, which the record keeps in ``meta["guesses"]``.
+        ``NAME:UNIT*SCALE?``, of which everything but the name is optional. NAME: name of the column, or its number,
+        from 1 on; without it, usual names are searched. UNIT: needed if the file states none. SCALE: a factor, such as
+        the gain of an amplifier for its monitor (100); a factor with the units of the quantity and of the column (10
+        um/V, 25 V/A); or, for a displacement, the period of a periodic signal: "fringe 316.4 nm", "grating 3 um". "?"
+        marks a guess, which the record keeps in ``meta["guesses"]``.
     rate : float, optional
-        Samples per second [Hz], in the place of a column of time.
+        Samples per second [Hz], in place of a column of time.
     hold : str, optional
-        "sample" if a converter holds the voltage from one sample to the next, and the displacement is read at the end;
-        default: as the file says, or "line"; see `Record`.
+        "sample" if a converter holds the voltage until the next sample, and the displacement is read at the end of that
+        time; default: as the file says, or "line"; see `Record`.
     join : path, optional
         Second file of the same measurement, aligned on time, or on the sample if one of the files has no time.
     decimal : str, optional
-        "point" or "comma": the sign of a file whose numbers do not show it.
+        "point" or "comma": the decimal sign of a file whose numbers do not show it.
     axes : mapping
-        Of several axes: other keys, their names, as ``x=vx_V:x_um``: the columns of VOLTAGE:DISPLACEMENT for a record,
-        DISPLACEMENT for a path.
+        For several axes, the name of each is a key, as in ``x=vx_V:x_um``: with the columns VOLTAGE:DISPLACEMENT for a
+        record, DISPLACEMENT for a path.
 
     Raises
     ------
@@ -206,7 +206,7 @@ class Columns:
         return text_of(self.entries())
 
     def demand(self, keys: Sequence[str], words: str, *, axes: bool = False) -> None:
-        """Raise an error for keys without an effect; with `axes`, the columns are those of the axes."""
+        """Raise an error for keys without an effect; with `axes`, each axis states its own columns."""
         known = [key for key in keys if not (axes and key in ("voltage", "displacement"))]
         wrong = [key for key in self.entries() if key not in (*known, *(self.axes if axes else ()))]
         if wrong:
@@ -214,7 +214,7 @@ class Columns:
             raise FileFormatError(got, argument="columns", hint=f"leave it out; known are {', '.join(known)}")
 
     def of_axes(self) -> dict[str, Columns]:
-        """Return the columns of a record of each of two or more axes; raise `FileFormatError` if they are not that."""
+        """Return the columns of each of two or more axes; raise `FileFormatError` if they are stated wrongly."""
 
         def refusal(got: str, need: str) -> FileFormatError:
             return FileFormatError(argument="axes", got=got, need=f'{need}, as "x=vx_V:x_um, y=vy_V:y_um"')
@@ -246,7 +246,7 @@ AS_FOUND = Columns()
 
 
 def entries_of(text: str) -> dict[str, str]:
-    """Return the value of each key in a text; raise `FileFormatError` for an entry without them, or a key twice."""
+    """Return the value of each key in a text; raise `FileFormatError` without KEY=VALUE, or for a key twice."""
     found: dict[str, str] = {}
     # A line break separates words as a blank does.
     for entry in next(csv.reader([" ".join(text.splitlines())], skipinitialspace=True), []):

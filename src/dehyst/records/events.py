@@ -22,23 +22,23 @@ if TYPE_CHECKING:
 _FEWEST, _EACH, _MOST = 4, 100, 10_000
 # A crossing goes from minus to plus this part of the amplitude; an extreme lies among samples above the second part.
 _BAND, _TOP = 0.35, 0.6
-# Least part of its range by which a signal returns from an extreme; number of extremes for the levels.
+# Least part of its range by which a signal returns from an extreme; number of extremes whose median is a level.
 _SWING, _LEVELS = 0.3, 5
 # Turns of the voltage below this part of its range, or of the way between crossings, do not change a count.
 _LEAST_TURN, _SMALL_TURN = 1e-3, 0.2
-# A late displacement may turn between two crossings after a turn that are nearer than this share of the usual way; a
-# signal within this amplitude between two crossings has no extreme there; a voltage is held from this share of samples.
+# A late displacement may turn between two crossings if their distance is below this share of the usual way; a signal
+# within this amplitude between two crossings has no extreme there; a branch with this share of samples at rest is held.
 _TWICE, _EXTREME, _HELD = 0.4, 0.95, 0.5
-# Largest step of the voltage in a sample, and change in which the signal stays near its middle, in half periods; and
-# largest change without a crossing, in usual ways.
+# Largest step of the voltage in a sample, and largest change with the signal near its middle, in half periods; largest
+# change without a crossing, in usual ways.
 _STEP, _STAYS, _LONGEST = 0.5, 0.6, 3.5
-# Ways between crossings relative to those beside: a longer one has lost a period, a shorter one has one too many.
+# Bounds of a way between crossings, in ways beside it: a longer way has lost a period, a shorter one has an extra one.
 _LONG, _FIRST, _SHORT = {"fringe": 2.2, "grating": 1.8}, 2.2, 0.35
-# By how many usual ways the way back from a turn may be shorter than the way there, and longer than three of it.
+# The way back from a turn may be this number of usual ways shorter than the way there, or longer than three of them.
 _NEARER, _FARTHER = 0.75, 1.0
 # Margin of the recommended sample rate; largest sample, in amplitudes.
 _SPARE, _BEYOND = 1.1, 1.5
-# Two cycles are similar within this part of the voltage's range; largest difference of their counts, in half periods.
+# Ends of similar cycles differ by less than this part of the range, and their counts by at most this, in half periods.
 _ALIKE, _JUMP = 0.01, 1.6
 
 
@@ -58,7 +58,7 @@ def at_samples(time: Array, voltage: Array, event_time: ArrayLike, position: Arr
     overall = float(np.ptp(where)) / max(float(np.ptp(voltage)), 1e-300)
     with np.errstate(all="ignore"):
         gain = np.diff(where) / np.diff(at)
-    # Two events on both sides of a turn show no gain.
+    # Two events on opposite sides of a turn show no gain.
     gain[~(np.abs(gain - overall) <= overall)] = np.nan
     beside = np.array([np.append(np.nan, gain), np.append(gain, np.nan)])
     known = np.count_nonzero(~np.isnan(beside), axis=0)
@@ -72,7 +72,7 @@ def at_samples(time: Array, voltage: Array, event_time: ArrayLike, position: Arr
 
 
 def thinned(record: Record) -> Record:
-    """Return a record of events with fewer samples, because nothing is measured between these."""
+    """Return a record of events with fewer samples, because nothing is measured between the events."""
     known = record.measured
     wanted = 0 if known is None else min(_EACH * int(np.count_nonzero(known)), _MOST)
     if known is None or len(record) < 2 * wanted:
@@ -105,9 +105,9 @@ def counted_events(
 ) -> tuple[Array, Array]:
     """Return times [s] and positions (k,) of a `signal` (n,) that repeats when the displacement moves by a `period`.
 
-    The count follows the voltage up and down. Of a "fringe", a sine of the displacement, crossings of the middle and
-    extremes between them are events; of a "grating", one edge of each line. Middle and contrast may drift. Raise
-    `RecordError` if the signal does not repeat, has too few samples or periods, or a count is lost, with the time.
+    The count follows the voltage up and down. For a "fringe", a sine of the displacement, the events are crossings of
+    the middle and extremes between them; for a "grating", one edge of each line. Middle and contrast may drift. Raise
+    `RecordError` if the signal does not repeat, has too few samples or periods, or loses a count, and say when.
     """
     choice(kind, "kind", ("fringe", "grating"), error=RecordError)
     if not number(period, "period", error=RecordError) > 0:
@@ -116,7 +116,7 @@ def counted_events(
     turns = turning_points(voltage, least)
     z = _normalised(time, signal, turns)
     found = _crossings(time, voltage, z, turns, least, kind)
-    # A smaller turn crosses no level twice.
+    # Leave out smaller turns, which cross no level twice.
     turns = turning_points(voltage, max(least, _SMALL_TURN * found.usual))
     found = _crossings(time, voltage, z, turns, least, kind)
     if kind == "grating":
@@ -131,7 +131,7 @@ def counted_events(
 
 
 def _refusal(got: str, hint: str) -> RecordError:
-    return RecordError(argument="signal", got=got, need="one in which each period can be counted", hint=hint)
+    return RecordError(argument="signal", got=got, need="a signal in which each period can be counted", hint=hint)
 
 
 class _Crossings(NamedTuple):
@@ -149,7 +149,7 @@ class _Crossings(NamedTuple):
 
     @property
     def usual(self) -> float:
-        """The median of these ways [V]; raise `RecordError` if there is none."""
+        """The median of the ways [V]; raise `RecordError` if there is none."""
         if not np.nan_to_num(self.way).any():
             raise _refusal("no period between two turns of the voltage", "drive over more periods")
         return float(np.nanmedian(self.way))
@@ -158,7 +158,7 @@ class _Crossings(NamedTuple):
 def _normalised(time: Array, signal: Array, turns: NDArray[np.intp]) -> Array:
     """Return the signal from -1 to 1 between levels that follow its extremes."""
     extremes = turning_points(signal, max(_SWING * float(np.ptp(signal)), noise_span(signal)))
-    # They alternate; beside a turn of the voltage they are incomplete.
+    # Maxima and minima alternate; the extreme next to a turn of the voltage is incomplete.
     above = signal[extremes] > signal[np.roll(extremes, 1)]
     above[:1] = ~above[1:2]
     whole = np.ones(extremes.size, dtype=bool)
@@ -178,8 +178,8 @@ def _normalised(time: Array, signal: Array, turns: NDArray[np.intp]) -> Array:
 def _crossings(time: Array, voltage: Array, z: Array, turns: NDArray[np.intp], least: float, kind: str) -> _Crossings:
     """Return the crossings of the middle, each the zero of a line through its samples, and count them.
 
-    The displacement turns between two crossings without an extreme of the signal between them, as it is late, or creeps
-    back while the voltage is held within `least` [V]; else where the voltage does, and at the end of a hold.
+    The displacement turns where the voltage does, and at the end of a hold. Between two crossings without an extreme of
+    the signal it turns there instead: it is late, or creeps back while the voltage is held within `least` [V].
     """
     outside = np.flatnonzero(np.abs(z) > _BAND)
     last = np.flatnonzero(np.diff(z[outside] > 0))
@@ -196,7 +196,7 @@ def _crossings(time: Array, voltage: Array, z: Array, turns: NDArray[np.intp], l
     signs = np.sign(np.diff(voltage[[0, *turns.tolist(), -1]]))
 
     def counted(places: NDArray[np.intp]) -> _Crossings:
-        """Count, with a turn between the crossings before and after each of its `places`."""
+        """Count the crossings, with a turn of the displacement before the crossing at each of `places`."""
         branch = np.searchsorted(places, np.arange(when.size), side="right")
         rising = signs[branch]
         number = np.cumsum(np.append(0, (rising[1:] + rising[:-1]) // 2)).astype(np.intp)
@@ -211,7 +211,7 @@ def _crossings(time: Array, voltage: Array, z: Array, turns: NDArray[np.intp], l
     short = np.append(raw.way < _TWICE * raw.usual, [False] * 2)
     for j, (first, last, place) in enumerate(zip(before.tolist(), after.tolist(), places.tolist(), strict=True)):
         if kind == "grating":
-            # A line beside the turn has the height of the others.
+            # The height of a line beside the turn does not show the turn, a short way does.
             places[j] = place + 1 if short[place] else place - 1 if place > 1 and short[place - 2] else place
             continue
         among = np.arange(first, last + 1 + short[last])
@@ -273,7 +273,7 @@ def _refuse_lost_counts(
     for k, (a, b) in enumerate(pairwise(ends), -1):
         within = voltage[np.searchsorted(time, a) : np.searchsorted(time, b, side="right")]
         demand(np.ptp(within) <= _LONGEST * usual, a, b)
-        # While the voltage is held, creep counts by time.
+        # While the voltage is held, the displacement creeps: this way is not checked.
         if not 0 <= k < way.size or np.mean(np.abs(within - np.median(within)) <= rest) > _HELD:
             continue
         before, after = (way[j] if 0 <= j < way.size else np.nan for j in (k - 1, k + 1))
@@ -292,6 +292,6 @@ def _refuse_lost_counts(
     branches = [voltage[a : b + 1] for a, b in pairwise([0, *turns.tolist()])]
     held = np.array([np.mean(np.abs(branch - branch[-1]) <= rest) > _HELD for branch in branches])
     for k in range(3, turns.size):
-        # Creep at a hold, and back after it, moves the ends of cycles.
+        # Creep during a hold and after it moves the ends of cycles.
         same = alike[k] and alike[k - 1] and not held[k - 3 : k + 1].any()
         demand(not same or abs(place[k] - place[k - 2]) < _JUMP, *time[turns[[k - 2, k]]].tolist())

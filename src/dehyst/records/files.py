@@ -166,7 +166,7 @@ def _selected(table: Table, columns: Columns, axis: str) -> dict[str, Selected]:
 
 
 def _with_temperature(table: Table, wanted: str) -> Table:
-    """Return a table in which the wanted column is the one temperature; raise `FileFormatError` if it has none."""
+    """Return a table whose only temperature is the wanted column; raise `FileFormatError` if there is none."""
     known = table.select("temperature", wanted)
     named = Column("temperature_C", known.values, kept=True, guessed=known.guess)
     rest = [column for column in table.columns if column is not known.column and column.role != "temperature"]
@@ -174,7 +174,7 @@ def _with_temperature(table: Table, wanted: str) -> Table:
 
 
 def table_of(path: PathLike, columns: Columns) -> Table:
-    """Read the table of a file with the time of a rate, and joined to a second file, see `Columns`."""
+    """Read the table of a file; apply the rate and join the second file that `columns` state."""
     path = path_of(path)
     table = read_table(path, columns)
     if columns.rate is not None and columns.time is not None:
@@ -276,7 +276,7 @@ def _blocks(path: PathLike, columns: Mapping[str, ArrayLike], digits: int | None
 
 
 def _ends(values: Array, digits: int) -> tuple[float, float]:
-    """Return ends for values (n,) so that rounding to `digits` leads none beyond their range: a limit stays kept."""
+    """Return bounds for values (n,) so that rounding to `digits` moves none out of their range: limits are kept."""
     there = np.isfinite(values)
     lowest, highest = values.min(where=there, initial=inf), values.max(where=there, initial=-inf)
     low, high = (

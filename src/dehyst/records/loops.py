@@ -1,4 +1,4 @@
-"""The origin of a record by its loops: an echo, swapped columns, a shifted clock, fringes, a servo, slip."""
+"""What loops show of the origin of a record: an echo, swapped columns, a shifted clock, fringes, a servo, slip."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from dehyst.records.signals import noise_span, turning_points, turns_of, white_n
 if TYPE_CHECKING:
     from dehyst.records.record import Record, Span
 
-# Number of points at which branches are compared; difference of equal voltages, as a part of the range.
+# Number of points at which branches are compared; largest difference of equal voltages, in ranges.
 _POINTS, _EQUAL = 32, 0.02
 # Least area of a loop in the wrong direction: as a part of its bounding box, and in standard deviations of the noise.
 _AREA, _DEVIATIONS = 0.005, 5.0
-# A jump between sorted branches: at least this part of the range, this many usual steps; this part of steps goes back.
+# A jump between sorted branches: least part of the range, least number of usual steps; part of other steps against it.
 _JUMP, _STEPS, _OTHERS = 0.3, 10.0, 0.95
 # Two branches are similar if they differ by at most this part of the difference of other branches.
 _ALIKE = 0.4
@@ -32,11 +32,11 @@ LEAST_STROKE = 1e-15
 # Fringes: least number in a stroke; least size, as a part of the range; part of a branch in which they are counted;
 # kurtosis of noise; correlation of a displacement that follows the voltage.
 _FRINGES, _FRINGE, _INSIDE, _KURTOSIS, _FOLLOWS = 2.2, 0.3, 0.9, 1.65, 0.5
-# Without hysteresis, parts of the stroke and of the lag's loop that are left; part of a branch that still turns.
+# No hysteresis: largest residual in strokes, in widths by a lag; part of a branch after its turn; spread of branches.
 _STRAIGHT, _ROUND, _TURNS, _VARIES = 5e-4, 0.04, 0.3, 0.2
-# Clamped: least part of the voltage range on a plateau, slope below it, and drop that is no noise, of the stroke.
+# A plateau: least part of the voltage range; least slope before it; largest deviation in strokes, and slope, on it.
 _PLATEAU, _SLOPE, _FLAT, _CREEPS = 0.04, 0.3, 5e-4, 0.03
-# Slipping: least drift, part of the stroke, and how much better travel explains it than time.
+# Slipping: least drift in strokes, least factor by which travel explains it better than time, fewest returns.
 _SLIPS, _BETTER, _RETURNS = 0.01, 3.0, 4
 # Least part of the voltage range that a branch of a butterfly loop covers; number of bins of the voltage.
 _WHOLE, _BINS = 0.9, 32
@@ -48,14 +48,14 @@ _ROUNDING, _SIX_DIGITS, _DIGIT, _ON_GRID, _STRETCH = 1e-6, 5e-6, 5e-3, 0.1, 4096
 
 
 def sense(voltage: Array, displacement: Array, cycles: list[Span] | None = None) -> int:
-    """Return 1 if the displacement lags in the loops, -1 if it leads by more than noise explains, 0 if it is open."""
+    """Return 1 if the displacement lags in the loops, -1 if it leads by more than noise explains, 0 if unclear."""
     if cycles is None:
         cycles = [slice(int(a), int(b) + 1) for a, b in pairwise(turns_of(voltage)[::2])]
     area = box = of_y = of_v = 0.0
     for cycle in cycles:
         v, y = voltage[cycle], displacement[cycle]
         dv, dy = np.diff(np.append(v, v[0])), np.diff(np.append(y, y[0]))
-        # Rising below falling is counter-clockwise: the actuator lags, and this sum is positive.
+        # If the actuator lags, the rising branch is below the falling one, and this sum is positive.
         area -= float(np.einsum("i,i", y - y.mean() + 0.5 * dy, dv))
         box += float(np.ptp(v) * np.ptp(y))
         of_y, of_v = of_y + float(np.einsum("i,i", dv, dv)), of_v + float(np.einsum("i,i", dy, dy))
@@ -79,7 +79,7 @@ def leading(record: Record, cycles: list[Span]) -> str:
 
 
 def _sorted_branches(v: Array, y: Array, noise: float, *, leads: bool) -> str | None:
-    """Return that the voltage jumps between sorted branches; None if it does not jump, empty for a sawtooth."""
+    """Return the error of a voltage that jumps between sorted branches; None if it does not, empty for a sawtooth."""
     steps, stroke = np.diff(v), float(np.ptp(y))
     far = np.abs(steps) > max(_JUMP * float(np.ptp(v)), _STEPS * float(np.median(np.abs(steps))))
     ways, others, jumps = np.sign(steps[far]), np.sign(steps[~far]), np.flatnonzero(far)
@@ -110,22 +110,22 @@ def early_turns(record: Record) -> int:
     most = min(_LATE, int(np.median(np.diff(turns))) // 3) if turns.size > 1 else 0
     if not most:
         return 0
-    # Both move the same way but between their turns: the sum of products is largest where these coincide.
+    # Both signals move the same way except between their turns: the sum of products is largest if the turns coincide.
     part = steps_y[: steps_y.size - most]
-    # The threads of a library's product would cost more than it.
+    # A product by a library with threads would be slower.
     alike = np.array([np.einsum("i,i", part, steps_v[late : late + part.size]) for late in range(most + 1)])
     best = int(np.argmax(alike))
     gained = float(alike[best] - alike[0])
     moved = steps_v[best : best + part.size] - steps_v[: part.size]
     of_y, of_v = record.noise * float(np.linalg.norm(moved)), white_noise(record.voltage) * float(np.linalg.norm(part))
     clear = gained > 1.4 * _DEVIATIONS * (of_y + of_v) + _GAINED * alike[best]
-    # At turns of a sine a lead changes as little as a shift does.
+    # At the turns of a sine, a phase lead and a shift of few samples look alike.
     sharp = 0 < best < most and best * (alike[best] - alike[best + 1]) > _SHARP * gained
     return best if clear and sharp else 0
 
 
 def _shift(record: Record, early: int) -> str:
-    """Return that the displacement is early by some samples."""
+    """Return the error of a displacement that is early by some samples."""
     return (
         f"the displacement turns before the voltage does, by {1e3 * early * record.sample_time:.4g} ms "
         f"({counted(early, 'sample')}): clocks or columns are shifted, or the voltage is measured late; shift the "
@@ -134,7 +134,7 @@ def _shift(record: Record, early: int) -> str:
 
 
 def butterfly(voltage: Array, displacement: Array) -> tuple[float, float, float] | None:
-    """Return a fall and a rise [m] of the line midway between branches, without hysteresis, and the voltage between."""
+    """Return fall and rise [m] of the mean line of both branches, and the voltage between; None if it only rises."""
     span = float(np.ptp(voltage))
     points = [0, *turning_points(voltage, _WHOLE * span).tolist(), voltage.size - 1]
     edges = np.linspace(voltage.min(), voltage.max(), _BINS + 1)
@@ -161,7 +161,7 @@ def butterfly(voltage: Array, displacement: Array) -> tuple[float, float, float]
 
 
 def echo(record: Record) -> str:
-    """Return that the displacement is a straight function of the voltage, now or some samples ago; or empty."""
+    """Return the error of a displacement that is linear in the voltage, now or some samples ago; or empty."""
     v, y = record.voltage, record.displacement
     left, of_v = _rounded(y), _rounded(v)
     middle = slice(max((y.size - _STRETCH) // 2, 0), (y.size + _STRETCH) // 2)
@@ -175,14 +175,14 @@ def echo(record: Record) -> str:
         else:
             when = f" of {counted(late, 'sample')} before" if late else ""
             return (
-                f"the displacement is a straight function of the voltage{when}, to {left:.2g} m: without any noise or "
+                f"the displacement is a linear function of the voltage{when}, to {left:.2g} m: without any noise or "
                 "hysteresis, it looks like the set-point and not like the sensor; record what the sensor measures"
             )
     return ""
 
 
 def _rounded(values: Array) -> float:
-    """Return by how much the digits in which values are written may change them."""
+    """Return the largest rounding error of values, by the digits in which they are written."""
     span = float(np.ptp(values))
     steps = np.diff(np.unique(values))
     steps = np.concatenate([steps, np.abs(np.diff(steps))])
@@ -193,7 +193,7 @@ def _rounded(values: Array) -> float:
 
 
 def fringes(record: Record) -> str:
-    """Return that the displacement turns many times in a stroke of the voltage; or empty."""
+    """Return the error of a displacement that turns many times in a stroke of the voltage; or empty."""
     v, y = record.voltage, record.displacement
     turns = turns_of(v)
     if turns.size < 2 or float(np.ptp(y)) < LEAST_STROKE:
@@ -212,8 +212,8 @@ def fringes(record: Record) -> str:
     if many < _FRINGES or noise or abs(float(np.corrcoef(v, y)[0, 1])) > _FOLLOWS:
         return ""
     return (
-        f"the displacement moves up and down about {many:.0f} times in a stroke of the voltage, as the fringes of an "
-        "interferometer do, the lines of a grating, or a vibration; count fringes or lines, with "
+        f"the displacement moves up and down about {many:.0f} times in a stroke of the voltage, like the fringes of an "
+        "interferometer, the lines of a grating, or a vibration; count fringes or lines, with "
         "displacement=NAME*fringe PERIOD nm or *grating PERIOD um"
     )
 
@@ -232,9 +232,9 @@ def remarks(record: Record) -> Iterator[str]:
 
 
 def _no_hysteresis(record: Record, turns: NDArray[np.intp]) -> Iterator[str]:
-    """Yield that the displacement is a parabola of the voltage some time ago: a lag, and no hysteresis."""
+    """Yield a remark if the displacement is a parabola of the earlier voltage: a lag without hysteresis."""
     v, time = record.voltage, record.time
-    # A lag is as wide as the voltage is fast, away from the turns.
+    # Away from the turns, a lag gives a loop whose width is proportional to the speed.
     places = np.concatenate([np.arange(a + int(_TURNS * (b - a)), b) for a, b in pairwise(turns.tolist())])
     rate = np.gradient(v, time)
     left, (_, gain, _, wide) = _parabola(record, v, places, rate)
@@ -263,7 +263,7 @@ def _parabola(record: Record, voltage: Array, places: Any, *others: Array) -> tu
 
 
 def _clamped(record: Record, turns: NDArray[np.intp]) -> Iterator[str]:
-    """Yield from which voltage on the displacement stays within its noise, on branches that go to an extreme."""
+    """Yield a remark if the displacement stays within its noise near an extreme of the voltage."""
     branches = [slice(a, b + 1) for a, b in pairwise([0, *turns.tolist(), len(record) - 1])]
     for sign, side in ((1.0, "above"), (-1.0, "below")):
         v, y = sign * record.voltage, sign * record.displacement
@@ -283,12 +283,12 @@ def _clamped(record: Record, turns: NDArray[np.intp]) -> Iterator[str]:
         if 0 < before < first and ahead[first] > _PLATEAU * span and steep and gain * ahead[first] > 4 * doubt:
             yield (
                 f"The displacement stays within its noise {side} {sign * grid[first]:.4g} V while the voltage goes on "
-                f"to {sign * top:.4g} V: an amplifier or a sensor at its limit, or the actuator saturates."
+                f"to {sign * top:.4g} V: the amplifier or the sensor is at its limit, or the actuator saturates."
             )
 
 
 def _slipping(record: Record, turns: NDArray[np.intp]) -> Iterator[str]:
-    """Yield that the displacement at an extreme of the voltage moves on with travel, where time does not explain it."""
+    """Yield a remark if the displacement at an extreme of the voltage drifts with travel, not with time."""
     v, y = record.voltage, record.displacement
     lowest = turns[v[turns] < v[turns].min() + _EQUAL * float(np.ptp(v))]
     if lowest.size < _RETURNS:
@@ -301,6 +301,6 @@ def _slipping(record: Record, turns: NDArray[np.intp]) -> Iterator[str]:
     moved = float(y[lowest[-1]] - y[lowest[0]])
     if abs(moved) > _SLIPS * record.stroke and left[1] > _BETTER * (left[0] + record.noise):
         yield (
-            f"At {v[lowest].min():.4g} V the displacement comes back {1e9 * moved:.3g} nm away, in proportion to the "
-            "travel of the voltage and not to the time: it slips, which is no drift of the sensor."
+            f"At {v[lowest].min():.4g} V the displacement shifts by {1e9 * moved:.3g} nm, in proportion to the "
+            "travel of the voltage and not to the time: the actuator slips, the sensor does not drift."
         )

@@ -23,16 +23,16 @@ LARGEST, SHORTEST = 1e30, 1e-30
 _LEAST_EVENTS = 60
 # Least and largest displacement for each volt [m/V] of stages, also by the input of an amplifier.
 _GAINS = (2e-9, 5e-5)
-# A longer cycle [s] gives a question about the unit: the times may be milliseconds.
+# A longer cycle [s] raises a question about the unit: the times may be milliseconds.
 _SLOWEST = 1000.0
-# Least number of samples that shows a spike; least number of samples of a sweep.
+# Least number of samples of a usable record, and of a sweep.
 _FEWEST, _SWEEP = 20, 3
 # A time starts again if it returns this near to its first value, as a part of its range.
 _AGAIN = 0.1
 
 
 def fault_of(values: Array, column: str, unit: str) -> str:
-    """Return an error for the first value of a `column` that is not finite or whose powers would overflow; or empty."""
+    """Return an error for the first value of a `column` that is not finite or whose powers overflow; or empty."""
     bad = np.flatnonzero(~np.isfinite(values))
     if len(bad) == len(values):
         return f"{column} holds no finite number; export it again, or select another column"
@@ -46,7 +46,7 @@ def fault_of(values: Array, column: str, unit: str) -> str:
     i = int(np.argmax(np.abs(values)))
     return (
         f"{column}[{i}] = {values[i]:.6g} {unit} is no {column}; {largest / LARGEST:.3g} times the largest number that "
-        f"is taken ({LARGEST:g}): correct that value, or check the column's unit"
+        f"is allowed ({LARGEST:g}): correct that value, or check the column's unit"
     )
 
 
@@ -60,7 +60,7 @@ def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
         return f"the time stands still at {time[0]:.9g} s; give a sample rate, rate=HZ"
     rate = 1 / max(abs(float(np.polyfit(np.arange(time.size), time, 1)[0])), SHORTEST)
     if (steps < 0.0).all():
-        # The first of several axes.
+        # The first of several axes decides.
         v, y = (values.reshape(time.size, -1)[:, 0] for values in (voltage, displacement))
         way = loops.sense(v, y)
         sign = f"the time has the wrong sign: give rate={rate:.6g} in its place if the samples are even"
@@ -98,7 +98,7 @@ def other_unit(record: Record) -> str:
 
 def guesses(record: Record) -> tuple[str, ...]:
     """Return what to verify of a record: guesses made when it was read, and units in which no stage moves."""
-    # Without the readings of an overload.
+    # Quantiles leave out the readings of an overload.
     driven, moved = (float(np.ptp(np.quantile(v, (0.05, 0.95)))) for v in (record.voltage, record.displacement))
     doubts = []
     for quantity, span, unit in (("voltage", driven, "V"), ("displacement", moved, "m")):
@@ -107,9 +107,9 @@ def guesses(record: Record) -> tuple[str, ...]:
             usual = f"{least:g} to {most:g} {unit}"
             doubts.append(f"The {quantity} has a range of {span:.3g} {unit}, where a stage has {usual}")
     if not doubts and moved and not _GAINS[0] * driven <= moved <= _GAINS[1] * driven:
-        doubts = [f"The displacement has {moved:.3g} m for {driven:.3g} V, where a stage has 2 nm to 50 um for each"]
+        doubts = [f"The displacement moves {moved:.3g} m for {driven:.3g} V, where a stage moves 2 nm to 50 um a volt"]
     if (cycle := float(np.ptp(record.time)) / max(len(record.cycles()), 1)) > _SLOWEST:
-        doubts.append(f"The time has {cycle:.3g} s a cycle")
+        doubts.append(f"A cycle takes {cycle:.3g} s")
     return (
         *(f"The {key} is guessed, verify: {words}." for key, words in record.meta.get("guesses", {}).items()),
         *(f"{doubt}; check its unit and scale." for doubt in doubts),
@@ -129,7 +129,7 @@ def problems(record: Record) -> tuple[str, ...]:
 
 
 def _of_samples(whole: Record, record: Record) -> Iterator[str]:
-    """Yield remarks on the samples of a record, of which `whole` has what was left out too."""
+    """Yield remarks on the samples of a record; `whole` also has the samples that were left out."""
     if missing := gaps(whole.time):
         i, length = missing[0]
         yield f"{counted(len(missing), 'gap')} in time, the first of {length:.4g} s after sample {i}."
@@ -153,7 +153,7 @@ def _of_samples(whole: Record, record: Record) -> Iterator[str]:
             yield f"The {column} moves in steps of {step:.3g} {unit}, {100 * part:.2g} % of its range: quantised."
     temperatures = [channel.column for channel in record.others if channel.role == "temperature"]
     if len(temperatures) > 1:
-        yield f"Of the temperatures {' and '.join(temperatures)} none is used; leave all out but the actuator's."
+        yield f"None of the temperatures {' and '.join(temperatures)} is used; leave out all but the actuator's."
 
 
 def reasons_against(record: Record) -> Iterator[str]:
@@ -221,7 +221,7 @@ def _reasons(record: Record) -> Iterator[str]:
 
 
 def _clipped(record: Record, least: int) -> Iterator[str]:
-    """Yield that the sensor stays at its extreme while the voltage goes on in that direction."""
+    """Yield an error if the sensor stays at its extreme while the voltage goes on in that direction."""
     needed = (0.02 + 3.0 * resolution(record.displacement)[1]) * float(np.ptp(record.voltage))
     for sign, side in ((1.0, "maximum"), (-1.0, "minimum")):
         up = sign * record.displacement

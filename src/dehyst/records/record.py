@@ -111,9 +111,9 @@ class Record(Plotted):
         What the voltage does between samples. "line": it moves in straight lines, and the displacement is read at the
         same instant. "sample": it is held until the next sample, and the displacement is read at the end of that time.
     measured : (n,) array_like of bool, optional
-        Whether the displacement is known at each sample; default: at all, or, if most samples of `displacement` are
-        NaN and at least 20 are not, at these. Elsewhere NaN is replaced by straight lines over time, which hold a
-        place only: no fit and no error counts them. Only a record of one axis may have it.
+        Whether the displacement is known at each sample; default: at all; if most of `displacement` is NaN and at least
+        20 samples are not, at the latter. Elsewhere straight lines over time replace NaN as placeholders: no fit and no
+        error counts them. Only a record of one axis may have it.
 
     Raises
     ------
@@ -273,11 +273,11 @@ class Record(Plotted):
         units: str,
         name: str = "record",
     ) -> Record:
-        """Make a record whose displacement is known at events only: lines or fringes passed, edges of an encoder.
+        """Make a record whose displacement is known at events only: at lines, fringes, or edges of an encoder.
 
-        `time` and `voltage` (n,) [s] and [V]; `event_time` (k,) [s], rising, and the `position` (k,) then, in `units`.
-        Each event is put on the nearest sample, its position moved by the gain between events times the difference of
-        the voltages; the mean counts where several are nearest to one. `measured` says where they are.
+        `time` and `voltage` (n,) [s] and [V]; `event_time` (k,) [s], rising, and `position` (k,) at these times, in
+        `units`. Each event moves to the nearest sample, and its position by the gain between events times the
+        difference of the voltages; the mean of several events at a sample counts. `measured` marks these samples.
 
         Raise `RecordError` if there are fewer than 4 events, their times do not rise or lie outside of the record's,
         a position is not finite, or times and positions differ in number; otherwise as `from_arrays`.
@@ -358,7 +358,7 @@ class Record(Plotted):
         points = np.concatenate(([turns[0] - before], turns, [turns[-1] + after]))
         branches = np.abs(np.diff(self.voltage[points]))
         points = points[int(branches[0] < 0.9 * branches[1]) : len(points) - int(branches[-1] < 0.9 * branches[-2])]
-        # An odd number has one more of the outer kind; otherwise there are as many minima as maxima, and minima count.
+        # With an odd number, the kind at both ends counts; an even number has equally many of both, and minima count.
         first = int(len(points) % 2 == 0 and self.voltage[points[0]] > self.voltage[points[1]])
         return [slice(int(a), int(b) + 1) for a, b in pairwise(points[first::2])]
 
@@ -370,7 +370,7 @@ class Record(Plotted):
     def check_usable(self) -> None:
         """Raise `RecordError` if no hysteresis loop can be identified from the record.
 
-        That is so with fewer than 20 samples or one cycle, constant voltage or displacement, an echo of the voltage,
+        That is so with fewer than 20 samples, no full cycle, constant voltage or displacement, an echo of the voltage,
         fringes, a stroke over 0.1 m, an inverted or clipped sensor, a butterfly loop, swapped, reversed or sorted
         columns, or displacements that dehyst computed.
         """
@@ -405,14 +405,14 @@ def columns_of(record: Record, lengths: Literal["um", "m"] = "um") -> dict[str, 
 def reversals(record: Record) -> NDArray[np.intp]:
     """Find the turning points of the voltage (k,): indices of its extremes, alternately minima and maxima.
 
-    An extreme counts if the voltage then goes back by more than 2 % of its range, and than the range of its noise. It
-    is the last sample of a plateau, and never an end of the record.
+    An extreme counts if the voltage then goes back by more than 2 % of its range, and by more than the range of its
+    noise. It is the last sample of a plateau, and never an end of the record.
     """
     return signals.turns_of(of_one_axis(record).voltage)
 
 
 def _is_frozen(raw: object) -> bool:
-    """Return whether an array is read-only, as another record's: then a slice of a long record needs no copy."""
+    """Return whether an array is read-only, like a record's: then a slice of a long record needs no copy."""
     if not isinstance(raw, np.ndarray) or raw.dtype != np.float64 or raw.flags.writeable:
         return False
     return raw.base is None or (isinstance(raw.base, np.ndarray) and not raw.base.flags.writeable)

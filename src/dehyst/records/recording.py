@@ -122,7 +122,7 @@ class Recording:
         self._stream.close()
 
     def _write(self, data: bytes) -> None:
-        """Append lines, and count them; `read` leaves out one that is cut off."""
+        """Append lines, and count them; `read` leaves out a line that is cut off."""
         if self._failure is not None:
             raise self._failure
         done = 0

@@ -17,16 +17,16 @@ if TYPE_CHECKING:
 
 # Largest value of white noise, in standard deviations.
 NOISE_PEAK = 4.0
-# Widths of running means. Rise of a largest error by noise: steps per deviation, number of steps, probability.
+# Widths of running means. How noise raises a largest error: steps per deviation, number of steps, probability.
 _WIDTHS, _FINE, _LEVELS, _LIKELY = (1, 4, 16, 64, 256), 8, 64, 0.9
 # A sine of 50 points a cycle leaves 7e-8 of its stroke in differences of order 6, and 3e-3 in those of order 2.
 _ORDER = 6
-# Number and length of the stretches from which the noise of a long signal is estimated; rows judged in time.
+# Number and length of the stretches from which the noise of a long signal is estimated; rows that `sensor_noise` reads.
 _STRETCHES, _STRETCH, _ROWS = 16, 1 << 14, 1 << 17
 # Quartile of normal noise, in standard deviations.
 QUARTILE = 0.6744897501960817
-# The noise on the grid of time: needed if steps vary by this part, or the voltage turns in this many samples; least
-# windows, and the factor by which it must be smaller.
+# The noise is also estimated by the sample times if time steps vary by this part, or the voltage turns more often than
+# once in this number of samples; fewest windows for that; the second estimate counts if it is smaller by this factor.
 _EVEN, _FEW, _WINDOWS, _SMALLER = 0.01, 25, 16, 1.5
 # A repeated signal: largest part of new samples, and least motion of the displacement, in digits.
 _NEW, _DIGITS = 0.75, 3.0
@@ -43,10 +43,10 @@ def rms(error: ArrayLike) -> float:
 
 
 def beyond_noise(error: Array, noise: float) -> tuple[float, float]:
-    """Return the largest and the RMS error (n,) that white noise does not explain; `noise`: its deviation.
+    """Return the largest and the RMS of an error (n,) without what white noise explains; `noise`: its deviation.
 
-    The largest is less what noise adds to the largest of the error that running means show, in nine of ten cases. The
-    RMS error is the most that running means show, of which longer ones have less noise.
+    Running means show the error below the noise. From the largest error, the most that noise adds to it in nine of ten
+    cases is subtracted. The RMS error is the largest RMS of the means without noise.
     """
     if not noise:
         return largest(error), rms(error)
@@ -60,14 +60,14 @@ def beyond_noise(error: Array, noise: float) -> tuple[float, float]:
 
 
 def _running_mean(values: Array, width: int) -> Array:
-    """Return means (n,) of values (n,) over `width` samples around each; both ends go on."""
+    """Return means (n,) of values (n,) over `width` samples around each; the end values continue."""
     around = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
     sums = np.append(0.0, np.cumsum(around, dtype=np.float64))
     return np.asarray((sums[width:] - sums[:-width]) / width)
 
 
 def _raised(sizes: Array, noise: float) -> float:
-    """Return by how much white noise of this deviation likely raises the largest of all sizes (n,), at most."""
+    """Return the most by which white noise of this deviation raises the largest of sizes (n,) in nine of ten cases."""
     most = float(sizes.max(initial=0.0))
     below = (_FINE * (most - sizes) / noise).astype(np.int64)
     counts, steps = np.bincount(below[below < _LEVELS], minlength=_LEVELS), np.arange(_LEVELS) / _FINE
@@ -98,10 +98,10 @@ def white_noise(values: Array) -> float:
 
 
 def sensor_noise(time: Array, voltage: Array, displacement: Array) -> float:
-    """Estimate the white noise of a displacement (n,) as `white_noise` does, or on the grid of time.
+    """Estimate the white noise of a displacement (n,) as `white_noise` does, or by the sample times.
 
-    The latter counts where it is far smaller (uneven steps, repeated or few samples): distances of new samples from the
-    cubic through two neighbours on each side, without a turn in between.
+    The second estimate counts if it is far smaller (uneven steps, repeated or few samples): it is the distance of new
+    samples from the cubic through two neighbours on each side, where the voltage does not turn.
     """
     noise, steps = white_noise(displacement), np.diff(time[:_ROWS])
     new = new_samples(voltage, displacement)
@@ -124,7 +124,7 @@ def sensor_noise(time: Array, voltage: Array, displacement: Array) -> float:
 
 
 def new_samples(voltage: Array, displacement: Array) -> Mask | None:
-    """Return which displacements are new (n,), if they repeat while the voltage moves on by several digits; or None."""
+    """Return which displacements (n,) are new if others repeat while the voltage moves on; or None."""
     new = np.append(True, np.diff(displacement) != 0.0)
     if np.count_nonzero(new) > _NEW * new.size or np.count_nonzero(new) < _ORDER:
         return None
@@ -133,7 +133,7 @@ def new_samples(voltage: Array, displacement: Array) -> Mask | None:
     spans = np.diff(np.unique(displacement))
     digit = float(spans[spans > 1e-9 * spans.sum()].min())
     gain, moved = spans.sum() / max(float(np.ptp(voltage)), 1e-300), np.abs(voltage[last] - voltage[first])
-    # A displacement that a servo or friction holds now and then repeats in few runs.
+    # If a servo or friction holds the displacement at times, few values repeat.
     if np.count_nonzero(last > first) < 0.5 * first.size:
         return None
     held = moved > noise_span(voltage)
@@ -149,7 +149,7 @@ def noise_span(values: Array) -> float:
 
 
 def resolution(values: Array) -> tuple[float, float]:
-    """Return the smallest step between neighbours and its share of the range; 0 and 0 unless many are equal."""
+    """Return the smallest step between samples and its share of the range; 0 and 0 unless many samples repeat."""
     steps, span = np.abs(np.diff(values)), float(np.ptp(values))
     moving = steps[steps > 1e-12 * span]
     if not len(moving) or len(moving) > 0.8 * len(steps):
@@ -165,7 +165,7 @@ def interpolate(x: Array, y: Array, places: Array) -> Array:
 
 
 def runs(mask: Mask) -> list[tuple[int, int]]:
-    """Return first and one after the last index of each run of true values."""
+    """Return the first index, and the index after the last one, of each run of true values."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
@@ -208,10 +208,10 @@ def gaps(time: Array) -> list[tuple[int, float]]:
 def bandwidth(signal: Array, sample_time: float, share: float) -> float:
     """Return the frequency [Hz] above which a signal has this share of its AC energy, without white noise."""
     from_line = (signal - np.linspace(signal[0], signal[-1], signal.size)) * np.hanning(signal.size)
-    # A length with large factors takes ten times as long.
+    # A transform takes ten times as long if its length has large prime factors.
     unit = 1 << max(signal.size.bit_length() - 7, 0)
     power = np.abs(np.fft.rfft(from_line, size := -(-signal.size // unit) * unit)[1:]) ** 2
-    # The power of noise in a line of the spectrum is distributed exponentially: its mean is the median over ln 2.
+    # The power of noise in a line of the spectrum is distributed exponentially: its mean is the median / ln 2.
     power -= float(np.median(power[power.size // 2 :])) / log(2)
     above = np.cumsum(power[::-1])[::-1]
     within = np.flatnonzero(above > share * above[0])
@@ -225,7 +225,7 @@ _INTERVALS, _DEVIATIONS, _CODES = 4, 50.0, 20.0
 _AT_ONCE = 0.4
 # Part of all travel that is not faster than the recorded speed; margin for the averaging in windows.
 _TRAVEL, _MARGIN = 0.95, 1.05
-# A longer record is read in longer intervals.
+# A record with more samples is read in longer intervals.
 _MOST = 1 << 18
 
 
@@ -245,7 +245,7 @@ def recorded_slew_rate(parts: Iterable[tuple[Array, Array]]) -> float | None:
 
 
 def _speeds(time: Array, voltage: Array) -> tuple[Array, Array]:
-    """Return the speeds [V/s] of the shortest windows that show one, and how far the voltage goes in a sample [V]."""
+    """Return the speeds [V/s] of the shortest windows that show one, and the travel of the voltage a sample [V]."""
     noise = max(_DEVIATIONS * white_noise(voltage), _CODES * resolution(voltage)[0])
     rows = slice(None, None, 1 + voltage.size // _MOST)
     time, voltage = time[rows], voltage[rows]

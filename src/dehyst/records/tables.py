@@ -52,7 +52,7 @@ class ColumnsError(FileFormatError):
     """Columns of a record that are not found.
 
     `reason`: the message without the proposal. `proposal`: text of columns that may be right, which the user has to
-    check and to complete, see `notes_on`; empty if there is none. `problems`: of each column.
+    check and to complete, see `notes_on`; empty if there is none. `problems`: the error of each column.
     """
 
     def __init__(self, reason: str, proposal: str, problems: Sequence[ColumnError] = ()) -> None:
@@ -70,17 +70,17 @@ def notes_on(proposal: str) -> list[str]:
     """Return sentences about proposed columns: placeholders to replace, and guesses."""
     notes = {
         RATE: f"Replace {RATE} by the number of samples a second.",
-        GAIN: f"Replace {GAIN} by the number in the data sheet: what one unit of the column is at the actuator, or of "
-        "the sensor; 1 if the column holds the actuator's voltage itself.",
+        GAIN: f"Replace {GAIN} by the number in the data sheet: the volts at the actuator, or the displacement, "
+        "for one unit of the column; 1 if the column holds the actuator's voltage itself.",
         GUESS: f"A {GUESS} marks a guess; leave it out once you have verified the column and its unit.",
     }
     return ["Check units and scales.", *(note for mark, note in notes.items() if mark in proposal)]
 
 
 class Selected(NamedTuple):
-    """The column of a quantity: how it was selected, its `values` (n,) in SI units, and what of it is a guess.
+    """The column of a quantity: how it was selected, its `values` (n,) in SI units, and what is guessed.
 
-    Of a periodic signal the values are the signal as it is.
+    For a periodic signal, the values are the signal itself.
     """
 
     column: Column
@@ -182,7 +182,7 @@ class Table:
         numbers = " or ".join(str(self.columns.index(c) + 1) for c in fits) if len({c.name for c in fits}) == 1 else ""
         way = f"by its number, {quantity}={numbers}" if numbers else f"with {quantity}=NAME"
         select = f"Select one {way}"
-        # Several columns that fit have their names already.
+        # Columns that fit have such names already.
         example = QUANTITIES[quantity].example
         hint = f" A name like '{example}' is found by itself." if not wanted and not fits else ""
         rate = " Without one, give rate=HZ." if quantity == "time" and not fits else ""
@@ -190,7 +190,7 @@ class Table:
         return ColumnError(self.source, quantity, f"{count}{request}", known)
 
     def _fits(self, quantity: str, wanted: str | None) -> tuple[Entry, list[Column]]:
-        """Return how a column is selected, and the columns that fit; a name of a column counts as it is."""
+        """Return how a column is selected, and the columns that fit; the name of a column is not split."""
         if wanted is not None and (own := self._named(wanted)):
             return Entry(wanted), own
         entry = Entry("") if wanted is None else Entry.of(wanted)
@@ -206,7 +206,7 @@ class Table:
         return fits or [c for c in self.columns if c.words & more and c.parts[1] in units]
 
     def _named(self, name: str) -> list[Column]:
-        """Return the columns of a name, of the last part of a name, without the unit, or of a number."""
+        """Return the columns with a name, a last part of a name, a name without unit, or a number."""
         name = name.strip().strip("/")
         exact = [c for c in self.columns if c.name == name]
         leaf = [c for c in self.columns if c.leaf == name]
@@ -287,7 +287,7 @@ def _proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], u
 
 
 def _assigned(table: Table, wanted: Sequence[str], used: Sequence[Column]) -> dict[str, Column]:
-    """Return the most likely column of each wanted quantity, of one length; only a time may always rise."""
+    """Return the likeliest column of each wanted quantity; all have one length, and only a time may always rise."""
     free = [c for c in table.columns if c not in used and not c.fault and np.isfinite(c.data).any()]
     sizes = Counter(column.data.size for column in used or free)
     free = [column for column in free if column.data.size == max(sizes, key=lambda size: sizes[size])][:_MOST]
@@ -338,8 +338,8 @@ def _entry(table: Table, quantity: str, column: Column, scale: Scale | None, *, 
     return f"{name}{guess}*{GAIN}" if plug else f"{name}{guess}"
 
 
-# Part of a sample by which the times of two files may differ and are still the same; steps of one file relative to the
-# other's from which on that is remarked.
+# Part of a sample by which the times of two files may differ and still count as the same; ratio of the steps of two
+# files above which a remark is made.
 _SAME, _WIDE = 0.01, 4.0
 _DAY = 86_400
 
@@ -364,7 +364,7 @@ class _Timed(NamedTuple):
         return None
 
     def aligned(self, times: Array) -> list[Column]:
-        """Return the columns at other times [s]; one that has not a number for each of its own has a fault."""
+        """Return the columns at other times [s]; a column of another length than its time has a fault."""
         found = []
         for column in self.columns:
             if column.data.size == self.seconds.size:
@@ -376,11 +376,11 @@ class _Timed(NamedTuple):
 
 
 def joined(table: Table, other: Table, columns: Columns) -> Table:
-    """Return a table with the columns of both files, by sample or by time; names of the other after its stem.
+    """Return the columns of both files, joined by sample or by time; names of the other file begin with its stem.
 
-    Where both have times that differ, samples are those of the file with the displacement, else of the first: straight
-    lines would take the noise of a sensor away. Samples without the other file are left out. Raise `FileFormatError` if
-    lengths differ and a file has no times, or if the times do not rise, do not overlap, or are from different clocks.
+    If times differ, the samples of the file with the displacement stay, else those of the first file: interpolation
+    would remove noise. Samples outside of the other file's times are left out. Raise `FileFormatError` if lengths
+    differ and a file has no times, or if the times do not rise, do not overlap, or are from different clocks.
     """
     stem = f"{other.source.rsplit('.', 1)[0]}/"
     first, second = (_Timed.of(file, columns) for file in (table, other))

@@ -21,9 +21,9 @@ MOST, _DOUBLE = 500_000_000, 8
 class ColumnWords(NamedTuple):
     """Words and units by which the columns of a quantity are found.
 
-    `example`: a name that is found. `words`: whole names; `more`: only if the unit is stated too. `parts` and `letters`
-    in names, the usual `units`, and the `range` of piezo stages in SI units, for proposals; others are remarked. A bare
-    factor is in the first of the units.
+    `example`: a name that is found. `words`: whole names; `more`: names that need a stated unit. For proposals: `parts`
+    and `letters` of names, usual `units`, and the `range` of piezo stages in SI units, outside of which there is a
+    remark. A factor without units is in the first of the units.
     """
 
     example: str
@@ -71,8 +71,8 @@ QUANTITIES = {
         range=(0.0, 100.0),
     ),
 }
-# Smallest and largest of what a piezo actuator and its instruments can have, in SI units; the units that smaller and
-# larger ones may be in.
+# Smallest and largest possible value of a piezo actuator and its instruments, in SI units; units that smaller and
+# larger values may have.
 _POSSIBLE = {
     "time": ("samples every", "s", 1e-8, 1e4, ("s", "ns, us or ms")),
     "voltage": ("a voltage of", "V", 0.0, 1e5, ("V", "mV")),
@@ -102,7 +102,7 @@ _SET_POINT = re.compile(
 )
 # Names of columns that count samples.
 _COUNTS = re.compile(r"(?:index|idx|samples?|points?|count(?:er)?|no|nr|n|sequence|num|number|row)?")
-# Units of what is no voltage, length, time, temperature or load, where a name ends with one.
+# Units at the end of a name that are not of a voltage, length, time, temperature or load.
 _FOREIGN = re.compile(
     r"mA|uA|amps?|%|percent|prozent|pct|ppm|permille|deg|degrees?|m?rad|urad|arcsec|m?bar|psi|[kM]?Pa|counts?|cts|ticks?|steps?|"
     r"codes?|digits|lsb|raw|inch|inches|mils?|kip|lbf|gauss|tesla|u?strain|k?Hz|ohm|[pnu]F|[un]C|rpm|dBm",
@@ -143,7 +143,7 @@ def plausible_unit(quantity: str, data: Array) -> str:
 
 
 def impossible(quantity: str, size: float) -> str:
-    """Return an error for a size [s, V, m, degC] of a step, a voltage, a stroke, a temperature that cannot be."""
+    """Return an error if a step, voltage, stroke or temperature [s, V, m, degC] cannot be real; or empty."""
     name, unit, least, most, others = _POSSIBLE[quantity]
     if least <= size <= most:
         return ""
@@ -154,13 +154,13 @@ def impossible(quantity: str, size: float) -> str:
 
 
 class Allowance:
-    """The memory [bytes] for the numbers of a file, of which declared sizes are taken; its stem and decimal sign."""
+    """The memory [bytes] that is left for the numbers of a file; the file's stem and decimal sign."""
 
     def __init__(self, most: int, stem: str = "", decimal: str | None = None) -> None:
         self.most, self.left, self.stem, self.decimal = most, most, stem, decimal
 
     def take(self, numbers: int, what: str) -> None:
-        """Reserve memory for a count of `numbers`; raise FileFormatError, with `what` has them, if it is too little."""
+        """Reserve memory for a count of `numbers` in `what`; raise FileFormatError if too little is left."""
         self.check(numbers * _DOUBLE, what)
         self.left -= numbers * _DOUBLE
 
@@ -266,7 +266,7 @@ class Column:
 
     @property
     def is_set_point(self) -> bool:
-        """Whether it has the name of what is wanted of a stage."""
+        """Whether it has the name of a set point."""
         return _SET_POINT.search(self.leaf.lower()) is not None
 
     @property

@@ -1,6 +1,6 @@
-"""Columns of binary files: NumPy, MATLAB, HDF5 and TDMS; what record files of dehyst state about theirs.
+"""Columns of binary files: NumPy, MATLAB, HDF5 and TDMS; what record files of dehyst state about their columns.
 
-A library reads each of them. A size that a small file can declare is checked here before its samples are read.
+A library reads each format. A small file may declare a large size: sizes are checked before samples are read.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _OBJECT = "holds a MATLAB object, which only MATLAB reads: save its fields as a 
 _CELL = "holds a cell array; save the arrays in its cells as variables of their own"
 _PYTHON = "holds Python objects, which are not opened, because that runs code; save arrays of numbers"
 _ELSEWHERE = "has its samples in another place, which is not read; copy them into the file, with h5repack or h5copy"
-# Rows or columns of one array that are taken for series of samples.
+# Most rows or columns of one array that count as series of samples.
 _MOST_SERIES = 32
 # Bytes in which the header of an array of NumPy states its type.
 _HEADER = 4096
@@ -105,7 +105,7 @@ def _group(name: str) -> str:
 
 
 def _columns_of(arrays: Sequence[_Array], allowance: Allowance) -> list[Column]:
-    """Return all series, and the tables with as many samples as one of them, or all if there is no series."""
+    """Return all series, and the tables as long as one of the series; without a series, all tables."""
     tables = [array for array in arrays if array.kind == "table" and not array.fault]
     alone = len(arrays) == 1
     columns = [column for array in arrays if array not in tables for column in array.columns(allowance, alone)]
@@ -147,7 +147,7 @@ def read_npz(stream: BinaryIO, allowance: Allowance) -> list[Column]:
 
 
 def read_hdf5(stream: BinaryIO, allowance: Allowance) -> list[Column]:
-    """Read the datasets of all groups, each once; those with samples elsewhere have a fault. Links are not followed."""
+    """Read the datasets of all groups, each once; samples in another file are a fault. Links are left out."""
     import h5py
 
     arrays: list[_Array] = []
@@ -209,14 +209,14 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def read_mat(stream: BinaryIO, allowance: Allowance) -> list[Column]:
-    """Read variables of a MAT file of any version; of structures the fields; text is ignored."""
+    """Read variables of a MAT file of any version, and fields of structures; text is ignored."""
     head = stream.read(520)
     stream.seek(0)
     if head.startswith((b"MATLAB 7.3", _HDF5)) or head.endswith(_HDF5):
         return read_hdf5(stream, allowance)
     import scipy.io
 
-    # Its types state names of files only.
+    # The types that SciPy states allow names of files only.
     source: Any = stream
     variables = scipy.io.loadmat(source, simplify_cells=True)
     named = [(name, value) for name, value in variables.items() if not name.startswith("__")]
@@ -279,7 +279,7 @@ def _channels(file: Any) -> dict[str, Any]:
 
 
 def _guess_of_segments(data: bytes, waves: dict[str, Any], step: float) -> str:
-    """Return what is assumed of waveforms that were appended to; raise if that was with a pause."""
+    """Return what is assumed of waveforms in several pieces; raise if there is a pause between these."""
     from nptdms import TdmsFile
 
     stamps = [(match.start(), match[1]) for match in _STAMP.finditer(data)]

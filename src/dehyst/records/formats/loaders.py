@@ -1,6 +1,6 @@
 """The readable formats, the reading of a file within a bound of its size, and tables that are read as plain text.
 
-These are GCS arrays of PI and Excel sheets (.xlsx). Their lines keep their numbers, which messages name.
+The last are GCS arrays of PI and Excel sheets (.xlsx): they keep their line numbers, which messages name.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def gcs_entries(lines: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def read_gcs(stream: BinaryIO, allowance: Allowance) -> list[Column]:
-    """Read a GCS array: its columns by the names in the header, and their time by its sample time; it has no units."""
+    """Read a GCS array: columns by the names in its header, and the time by its sample time; it states no units."""
     above, rows = _END.split(stream.read(), maxsplit=1)
     lines = above.decode("latin-1").split("\n")
     header = dict(gcs_entries(lines))
@@ -59,7 +59,7 @@ _CELL, _ROW = 32, 16
 
 
 def read_xlsx(stream: BinaryIO, allowance: Allowance) -> list[Column]:
-    """Read the tables of a workbook, whatever range its sheets declare; names of several sheets come first."""
+    """Read the tables of a workbook, whatever range its sheets declare; if several, names begin with the sheet."""
     import openpyxl
 
     with zipfile.ZipFile(stream) as archive:
@@ -110,13 +110,13 @@ def _read_text(stream: BinaryIO, allowance: Allowance) -> list[Column]:
         raise FileFormatError("LabVIEW's measurement files are not read; save it as TDMS, or below one row of names")
     if _END.search(head):
         return read_gcs(stream, allowance)
-    # Each line of a record of dehyst ends: one that does not was cut off while it was written.
+    # Each line of a record of dehyst has a line end: a line without one was cut off while it was written.
     columns = read_text(stream, allowance, whole_lines=head.startswith(mark))
     stated = head[len(mark) : containers.LONGEST].split(b"\n")[0] if head.startswith(mark) else b""
     return containers.restored(columns, stated.decode(errors="replace"))
 
 
-# The function of the bytes of a file and the allowance that returns its columns, by suffix.
+# By suffix, the function that returns the columns in the bytes of a file within an allowance.
 LOADERS: dict[str, Loader] = {
     **dict.fromkeys(TEXT, _read_text),
     ".xlsx": read_xlsx,

@@ -54,7 +54,7 @@ def is_number(cell: str) -> bool:
 
 
 def decimal_sign(blocks: Blocks, delimiter: str | None, given: str | None) -> tuple[str, int]:
-    """Return the decimal sign that the user states, else the one that the cells show or a point; and how many lines.
+    """Return the decimal sign that the user states, else the sign that cells show, or a point; and the number of lines.
 
     Raise `DecimalSignError` if the cells do not show the sign, and `FileFormatError` if they show both.
     """
@@ -75,7 +75,7 @@ def decimal_sign(blocks: Blocks, delimiter: str | None, given: str | None) -> tu
             change=("decimal",),
         )
     sign = next(iter(found), ".")
-    # Numbers between commas or blanks have a decimal point by habit.
+    # Numbers that commas or blanks separate usually have a decimal point.
     if found and sign not in certain and not (sign == "." and delimiter in (",", ", ", None)):
         raise DecimalSignError(
             f"{found[sign]}, which is a number with three decimals or a thousand times as large: no cell shows "

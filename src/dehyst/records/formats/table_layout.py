@@ -17,7 +17,7 @@ from dehyst.records.formats.notation import cells_of, is_moment, is_number
 _HEAD = 400
 # The most rows of a table that belongs to the header of another one.
 _FEW = 4
-# With these begins a comment.
+# A comment begins with one of these.
 _MARKS = ("#", "%")
 # Instruments write these words in the row of units for a column of counts.
 _COUNTS = ("sequence", "samples", "sample", "index", "#", "-")
@@ -33,8 +33,8 @@ class Layout(NamedTuple):
     """The place of a table in a text file.
 
     `first`: number of lines before its first row. `delimiter`: separator of its cells, None for blanks. `names`,
-    `units`: of its columns; numbers if it is `unnamed`. `header`: the lines with the names and the units. `above`: the
-    lines above the table, and what a row of units states of the times of samples.
+    `units`: of its columns; names are numbers if it is `unnamed`. `header`: the lines with the names and the units.
+    `above`: the lines above the table, and what a row of units states of the times of samples.
     """
 
     first: int
@@ -89,14 +89,14 @@ class _Shape(NamedTuple):
         """Whether a line above the table may be a row of it with a fault, which must not be left out."""
         if len(row) == self.width and 2 * sum(is_number(row[k]) for k in self.numeric) > len(self.numeric):
             return True
-        # Also a row with another separator.
+        # A row with another separator counts too.
         return all(is_number(part) for cell in row for part in re.split(r"[;,\t ]+", cell) if part)
 
 
 def layout_of(written: list[str], decimal: str | None = None) -> Layout:
-    """Find the table in the first lines of a text file: what the later of these lines look like.
+    """Find the table in the first lines of a text file: its rows look like the later ones of these lines.
 
-    It begins below the last line of names above the first such line: what is between is a row with a fault. Raise
+    It begins below the last line of names above the first such row: a line between them is a row with a fault. Raise
     `FileFormatError` if no line has content, or the line above the rows has fewer names than they have cells.
     """
     texts = [(k, text) for k, text in enumerate(written) if text.strip("; \t,")]
@@ -113,7 +113,7 @@ def layout_of(written: list[str], decimal: str | None = None) -> Layout:
     shape = _Shape.of(rows[len(rows) // 2 :])
     place = next((i for i, row in enumerate(rows) if shape.fits(row)), len(rows))
     if place == len(rows):
-        # No line has numbers in the columns in which others have them.
+        # No line has numbers in all columns in which most lines have numbers.
         return Layout(lines[0].number + 1, delimiter, tuple(rows[0]), header=(lines[0].text,))
     begin = 0
     for i in range(place + 2, min(place + _FEW + 2, len(rows))):
@@ -135,7 +135,7 @@ def layout_of(written: list[str], decimal: str | None = None) -> Layout:
     marked = [line.number for line in comments if not is_comment(line.cells, shape.width, delimiter)]
     first = min(rest + [number for number in marked if number >= heading.first])
     above = (*written[:first], *heading.above)
-    # A separator at the end of the names only.
+    # Only the line of names ends with a separator.
     empty = not heading.names[-1] and len(heading.names) > len(cells_of(written[first].strip(), delimiter))
     names = heading.names[:-1] if empty else heading.names
     return heading._replace(first=first, delimiter=delimiter, names=names, above=above)
@@ -161,7 +161,7 @@ def _without_names(lines: list[_Line], place: int, delimiter: str | None, shape:
 
 
 def _commented(line: _Line, delimiter: str | None, width: int) -> _Line:
-    """Return a comment without its mark, unless this names a count."""
+    """Return a comment without its mark, unless the mark is the name of a count."""
     plain = cells_of(line.text.lstrip("#% \t"), delimiter)
     signed = len(line.cells) == width != len(plain) and line.cells[0] in _MARKS
     return line if signed else line._replace(cells=plain)
@@ -176,7 +176,7 @@ def _delimiter(lines: list[str], decimal: str | None) -> str | None:
 
 
 def is_comment(cells: list[str], width: int, delimiter: str | None) -> bool:
-    """Return whether a line is a comment, and no row of that width which begins as one does: #N/A,1,2 or %,1,2."""
+    """Return whether a line is a comment; a row of that width may begin like one: #N/A,1,2 or %,1,2."""
     first, whole = cells[0], len(cells) in (width, width + (not cells[-1]))
     if not first.startswith(_MARKS) or not whole or first[1:2].isspace() or (len(first) == 1 and delimiter is None):
         return first.startswith(_MARKS)

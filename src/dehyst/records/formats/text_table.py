@@ -35,9 +35,9 @@ _BLOCK = 100_000
 
 
 def _blocks(text: TextIO, whole_lines: bool, skip: int = 0) -> Iterator[tuple[int, list[str]]]:
-    """Yield blocks of the lines behind the first ones, each with the number of lines before it.
+    """Yield blocks of the lines after the first `skip` ones, each with the number of lines before it.
 
-    `whole_lines`: without a last line that does not end.
+    `whole_lines`: leave out a last line without a line end.
     """
     text.seek(0)
     number = 0
@@ -57,7 +57,7 @@ def _blocks(text: TextIO, whole_lines: bool, skip: int = 0) -> Iterator[tuple[in
 def read_text(
     stream: BinaryIO, allowance: Allowance, decimal: str | None = None, whole_lines: bool = False
 ) -> list[Column]:
-    """Read the columns of a text file; those with words have a fault, those without a name say so."""
+    """Read the columns of a text file; columns of words have a fault, columns without names are `unnamed`."""
     # Windows programs write UTF-16 as "Unicode text", instruments the micro sign in Latin-1.
     wide = stream.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     for encoding in ("utf-16" if wide else "utf-8-sig", "latin-1"):
@@ -126,7 +126,7 @@ class _Table:
         return [self._column(place, columns[place, : self.count]) for place in range(self.width)]
 
     def _at_once(self, lines: list[str]) -> Array | None:
-        """Read a block of which all lines are rows of numbers; return none for others."""
+        """Read a block whose lines are all rows of numbers; return None for other blocks."""
         if self.clocks or self.hole or self.decimal in (self.delimiter or ""):
             return None
         # A point beside decimal commas must not be read as one.
@@ -164,7 +164,7 @@ class _Table:
         return np.full(len(cells), np.nan) if unread else np.array(values)
 
     def _cells(self, before: int, lines: list[str]) -> Iterator[tuple[int, list[str]]]:
-        """Yield line number and cells of each row, without comments; raise FileFormatError for one of other length."""
+        """Yield line number and cells of each row, without comments; raise FileFormatError for another length."""
         delimiter, width, count = self.delimiter, self.width, self.count
         for number, line in enumerate(lines, before + 1):
             if not line.strip(f"{delimiter or ''} \t\n"):
@@ -208,7 +208,7 @@ class _Table:
         return Column(self.names[place], data, unit, fault, unnamed=self.layout.unnamed, began=began)
 
 
-# Letters of the words for the time from one sample to the next, or for samples a second: its unit says which.
+# Words, by their letters, for a sample time or a sample rate: the unit says which of the two.
 _SAMPLING = re.compile(
     r"(?:sampl(?:e|ing)|abtast)(?:intervall?|period|rate|frequency|frequenz|zeit)|sampling|timestep|deltat|dt|"
     r"horizontalinterval|xinc(?:r|rement)?"
@@ -219,14 +219,14 @@ _STATED = re.compile(
     r"[#%;\s\"]*([A-Za-z][A-Za-z _]*)(?:[\[(]([^\[\]()]*)[\])])?[\s\":=;,]+"
     r"([-+]?[.,]?\d(?:[\d.,]*\d)?(?:[eE][-+]?\d+)?)[\s\";,]*([^\W\d]+(?:/[^\W\d]+)?)?(?![^\s\";,]).*"
 )
-# The longest line that is looked at, and the relative difference of steps that state the same.
+# The longest line that is searched, and the relative difference of steps that count as equal.
 _LONGEST_STATED, _SAME = 400, 1e-6
 
 
 def _with_clock(columns: list[Column], lines: Sequence[str], decimal: str) -> list[Column]:
     """Return columns with the time that the `lines` above a table state, in the place of one that counts samples.
 
-    Nothing changes without one step and its unit, or with a column of time.
+    Nothing changes without a single step with its unit, or if there is a column of time.
     """
     if not columns or any(column.parts[1] in FACTORS["time"] for column in columns):
         return columns
