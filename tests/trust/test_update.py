@@ -143,7 +143,7 @@ def test_the_zero_of_the_sensor_is_distinguished_from_the_stage(old):
 
 def test_another_actuator_is_refused(old):
     record = driven(TRUE, ONE_LOOP)
-    with pytest.raises(IdentifyError, match="plainly not"):
+    with pytest.raises(IdentifyError, match="clearly not"):
         dehyst.update(old, replace(record, displacement=3 * record.displacement))
 
 

@@ -30,10 +30,10 @@ from dehyst.records import Record, largest
 from dehyst.trust.recheck import coupling_of
 from dehyst.trust.turn_plane import TurnPlane, turn_plane
 
-# Records are not those of a model that misses them by more than this [% of their range], and more than this many times
-# as far as those that it was identified from.
+# A model was identified from other records if it misses these by more than this [% of their range], and by more than
+# this multiple of its error on its own records.
 _WORTH, _TIMES = 0.5, 3.0
-# Half the width of a 90 % interval, in standard errors; a coupling that is known to less than this may differ.
+# Half the width of a 90 % interval, in standard errors; half interval above which a coupling is uncertain.
 _DEVIATIONS, _CHANGED = 1.6448536269514722, 0.005
 
 
@@ -101,19 +101,19 @@ class Insight(Plotted):
 
     @property
     def promise(self) -> Promise | None:
-        """The promised error of the path; None if the model does not hold what its records tested."""
+        """The promised error of the path; None if the model file lacks what its records tested."""
         return promised(self.actuator) if self.plan is None else self.plan.promise
 
     @property
     def expected(self) -> tuple[str, ...]:
-        """The promise in sentences; none for records of another stage, where the warning is the answer."""
+        """The promise in sentences; none for records of another stage, which have a warning instead."""
         return () if self.promise is None or self._of_others() else self.promise.lines()
 
     @cached_property
     def identifiability(self) -> Identifiability:
-        """What the turning points determine of the stiffnesses of a Maxwell-slip model, regardless of noise.
+        """Which combinations of stiffnesses of a Maxwell-slip model the turning points determine, regardless of noise.
 
-        For models with more parts it concerns ten plain Maxwell-slip elements instead.
+        For a model with more parts, the result is that of ten plain Maxwell-slip elements.
         """
         pieces = [piece for item in self.comparisons for _, piece in item.source.pieces]
         grid = Grid.of_actuator(self.actuator)
@@ -155,13 +155,13 @@ class Insight(Plotted):
         return tuple(dict.fromkeys(gap.excitation(step) for gap in self.promise.untested if gap.command))
 
     def warnings(self) -> tuple[str, ...]:
-        """Return warnings to consider before the model is used, and before the path of the `plan` is."""
+        """Return warnings to consider before the model is used or follows the path of the `plan`."""
         missed, useless = self.plan.failure if self.plan else "", self.promise.unusable if self.promise else ""
         return tuple(filter(None, [missed, self._of_others(), useless, self._open()]))
 
     @property
     def origin(self) -> str:
-        """A remark on records that are not those of the model, by the sums of their files; or empty."""
+        """A remark on records that are not those of the model, by the checksums of their files; or empty."""
         known, records = str(self.actuator.provenance), [item.given.record for item in self.comparisons]
         others = [each.name for each in records if str(each.meta.get("sha256", "sha256")) not in known]
         if "sha256" not in known or not others or self._of_others():
@@ -173,12 +173,12 @@ class Insight(Plotted):
         missed, known = 100 * self.misfit / self.stroke, self.actuator.identification
         own, sources = None if known is None else known.largest_error, str(self.actuator.provenance)
         sums = [str(item.given.record.meta.get("sha256", "none")) for item in self.comparisons]
-        # A drift that the identification removed is no other record.
+        # A record with a drift, which the identification removed, is not another one.
         if own is None or missed <= _WORTH or self.misfit <= _TIMES * own or all(each in sources for each in sums):
             return ""
         return (
             f"The model misses these records by up to {missed:.3g} % of their range, {digits(self.misfit / own)} times "
-            "as far as those it was identified from: give those, or see by dehyst check what has changed."
+            "as far as the records it was identified from: give those, or run dehyst check on these."
         )
 
     def _open(self) -> str:
@@ -266,5 +266,5 @@ def lines(found: Insight, *, full: bool = True) -> Iterator[str]:
     commands = found.record_next
     yield "To record next:" if commands else "To record next: nothing; no excitation would test more."
     if found.promise is not None and found.promise.delay:
-        yield "State who lags, if it is known (dehyst identify --lag-of or --sensor-lag): it lowers the promise."
+        yield "State who lags, if it is known (dehyst identify --lag-of or --sensor-lag): this lowers the promise."
     yield from (f"    {command}" for command in commands)

@@ -1,4 +1,4 @@
-"""Models of others behind the interface of an actuator, and what is usually done without a model.
+"""Other models behind the interface of an actuator, and what is usually done without a model.
 
 A straight line, y = y_0 + stroke (v - v_low) / (v_high - v_low), has no hysteresis. A table of two branches of the
 major loop has displacement over voltage once for a rising and once for a falling voltage. A wanted displacement that
@@ -34,7 +34,7 @@ _WIDE, _LEAST_SLOPE = 0.9, 0.05
 
 
 class AbstractBaseline(AbstractModel):
-    """A model of others behind the interface of an actuator; `dehyst compare` has one row for each.
+    """Another model behind the interface of an actuator; `dehyst compare` has one row for each.
 
     Attributes: `state` is the default start of a motion. `delay` [s] is the lag of the measured displacement behind the
     voltage; `simulate` and `compensate` do not apply it.
@@ -76,7 +76,7 @@ class AbstractBaseline(AbstractModel):
 
     @abstractmethod
     def _run(self, drive: Array, state: Any, time: ArrayLike | None, *, inverse: bool) -> tuple[Array, Any]:
-        """Return displacements (n,) [m] for voltages (n,) [V], inverse: voltages for displacements; and the state."""
+        """Return displacements (n,) [m] for voltages (n,) [V], or with `inverse` the reverse; and the state."""
 
 
 def widest_record(records: Record | Sequence[Record]) -> Record:
@@ -155,7 +155,7 @@ class TwoBranches(AbstractBaseline):
         columns = (self.voltage, self.rising, self.falling)
         alike = len({column.size for column in columns}) == 1 and self.voltage.size > 1
         if not alike or any(np.any(np.diff(column) <= 0) for column in columns) or np.any(self.falling < self.rising):
-            need = "two or more places with a rising and a falling displacement each, none of them above the latter"
+            need = "two or more places with a rising and a falling displacement each, the falling one not below"
             raise ModelError(f"two branches: need {need}, in increasing order")
         keep(self, state=BranchState(float(self.voltage[0]), float(self.rising[0])))
 
@@ -214,7 +214,7 @@ class TwoBranches(AbstractBaseline):
 
 
 def _tabulated(voltage: Array, displacement: Array, places: Array, slope: float) -> Array:
-    """Return the displacement [m] of one branch at places (M,) [V], as it increases with at least a part of `slope`."""
+    """Return the displacement [m] of one branch at places (M,) [V], which rises by at least a part of `slope`."""
     from scipy.optimize import isotonic_regression
 
     part = np.clip(np.searchsorted(places, voltage, side="right") - 1, 0, places.size - 2)

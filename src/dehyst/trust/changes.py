@@ -4,13 +4,13 @@ With s the simulated displacement, m(v) its mean line (the average of rising and
 
     y - s = gain (s - m(0 V)) + width h - delay s' + creep log10(t) + zero,
 
-whose coefficients are the changes. The error of a model is no white noise: it is alike wherever the loop comes again.
-Its covariance falls with the distance in voltage and in h, and its size grows with the change itself, because no loop
-ages exactly as the columns say. Constants were chosen on aged stages by other mechanisms: `benchmarks/ageing.py`.
+whose coefficients are the changes. The error of a model is not white noise: it repeats with the loop. Its covariance
+falls with the distance in voltage and in h, and its size grows with the change itself, because no loop ages exactly as
+the columns say. Constants were chosen on aged stages by other mechanisms: `benchmarks/ageing.py`.
 
-The fewest changes are named that leave the others insignificant together. If several sets are as small, their common
-changes are sure, and the rest are one change, as the record cannot separate them; so is a sure one that is not
-significant by itself. What the named changes leave beyond the promise is stated as a change of shape.
+The result is the smallest set of changes that leaves all others insignificant. If several sets are equally small, the
+changes that all of them contain are sure. The rest, with a sure one that is not significant by itself, are one change,
+because the record cannot separate them. An error that is left beyond the promise is a change of shape.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from dehyst._views import lines
 from dehyst.identification import Trace
 from dehyst.records import percent, turning_points
 
-# Least multiple of its standard error from which one of several changes counts, and all that explain a record alike.
-# Changes explain it if the others are not significant at this probability, and they leave at most this multiple of the
-# least that any leave.
+# Least multiple of the standard error with which one of several changes counts, and a single change or common effect.
+# Changes explain a record if the others are not significant at this probability, and their residual is at most this
+# multiple of the smallest one.
 _SIGMAS, _TOGETHER, _INSIGNIFICANT, _MORE = 3.0, 2.0, 0.0027, 1.2
 # Numbers of knots of the mean line, of blocks of samples, and of steps of the search for a delay.
 _KNOTS, _BLOCKS, _STEPS = 24, 400, 4
-# Over which part of the voltages, and of h, the error of a model is alike. The part of a change that does not look like
-# its column, but all on the rise from a fitted start; slow changes that a record cannot show, of the stroke a decade.
+# Length over which a model's error is similar, as a part of the voltages and of h. Part of a change that differs from
+# its column, apart from the rise after a fitted start; slow changes that a record cannot show, in strokes a decade.
 _ALIKE, _ALIKE_IN_LOOP, _UNLIKE, _UNSEEN = 0.3, 1.0, 0.2, 0.007
 # A loop narrower than this part of its height has no width that could change.
 _NARROW = 1e-3
@@ -60,18 +60,18 @@ class Change:
     name : str
         "gain" (of the displacement relative to 0 V), "width" (of the loop, in addition to the gain), "zero" (of the
         displacement at 0 V, at the beginning of the record), "lag", "creep" (logarithmic in time), "drift" (linear in
-        time) or "shape" (what the changes that count leave). Names joined by " and ": changes that the record cannot
-        separate; value and error are those of their common effect [m].
+        time) or "shape" (the error left by the changes that count). Names joined by " and ": changes that the record
+        cannot separate; value and error are those of their common effect [m].
     value, error : float
-        The change and its standard error: parts of 1 for gain and width, [m] for the zero, [s] for the lag,
-        [m a decade of time] for creep, [m over the record] for a drift. For the shape: the RMS error left, and a third
-        of the promised one [m].
+        The change and its standard error: parts of 1 for gain and width, [m] for the zero, [s] for the lag, [m a decade
+        of time] for creep, [m over the record] for a drift. For the shape: the RMS error that is left, and a third of
+        the promised one [m].
     effect : float
-        The largest error [m] due to the change on a path like the record, with the sign of `value`: apart from a
-        constant, as every error is, but for the zero.
+        The largest error [m] due to the change on a path like the record, with the sign of `value`; as in every error,
+        a constant does not count, except for the zero.
     counts : bool
-        Whether the record shows the change, by itself or as one of several: it exceeds three standard errors beside
-        others, two as all that explains the record or as several together, and its effect the least one that counts.
+        Whether the record shows the change: it exceeds three standard errors as one of several, two if it is the only
+        one or a common effect of several; and its effect exceeds the least one that counts.
     """
 
     name: str
@@ -122,9 +122,9 @@ _WORDS = {
 _REMEDIES = {
     "gain": "Check the sensor's and the amplifier's gain, the load and the preload.",
     "width": "Check the temperature, the load and the range of the voltage.",
-    "zero": "The errors leave it out: zero the sensor or home the actuator; no new model is needed.",
+    "zero": "The error above leaves it out: zero the sensor or home the actuator; no new model is needed.",
     "lag": "Check the filters, the sample clock and the speed of the record.",
-    "creep": "Wait before recording; creep of the model needs loops at two speeds or holds.",
+    "creep": "Wait before recording; a model with creep needs loops at two speeds or holds.",
     "drift": "Let the actuator warm up, or record at a constant temperature.",
     "shape": "The loop has changed its shape, or the record has a disturbance.",
 }
@@ -217,9 +217,9 @@ class _SimulatedLoop:
 
 @dataclass(frozen=True, eq=False)
 class _ChangeFit:
-    """Coefficients (k,) of named columns, the columns (n, k) and what they leave (n,), both in means over blocks.
+    """Coefficients (k,) of named columns, the columns (n, k) and the residual (n,), both as means over blocks.
 
-    `most`: largest effect of each column. `blocks`: of the samples of the `loop` that count.
+    `most`: largest effect of each column. `blocks`: indices of samples of the `loop` that count.
     """
 
     names: list[str]
@@ -240,7 +240,7 @@ class _ChangeFit:
         return replace(self, names=kept, values=values, most=self.most[places], columns=columns, left=left)
 
     def needed(self) -> tuple[set[str], set[str]]:
-        """Return what all and what any of the smallest sets contain that explain the record as all changes do."""
+        """Return the changes in all, and in any, of the smallest sets that explain the record as all changes do."""
         from scipy.special import chdtri
 
         error = np.sqrt(np.diag(self.covariance))
@@ -278,7 +278,7 @@ class _ChangeFit:
         return Change(_AND.join(parts), value, error, value * most, counts)
 
     def shape(self) -> Change:
-        """Return what the columns leave but for the rise from a fitted start."""
+        """Return the residual without the rise after a fitted start, as a change."""
         left = self.left[_means(self.loop.start.astype(np.float64), self.blocks) < 0.5]
         left, noise = left - left.mean(), self.known.noise / np.sqrt(self.blocks.shape[1])
         size, most = float(np.sqrt(max(np.mean(left**2) - noise**2, 0.0))), float(np.abs(left).max())
@@ -310,7 +310,7 @@ class _ChangeFit:
 
 
 def _apart(place: Array, length: float) -> Array:
-    """Return distances (n, n) of places (n,) in a length."""
+    """Return distances (n, n) of places (n,), divided by a length."""
     return np.asarray(np.abs(place[:, None] - place) / max(length, 1e-300))
 
 

@@ -1,4 +1,4 @@
-"""Comparison of models on the same records: each is fitted to one part and judged on the part kept apart."""
+"""Comparison of models on the same records: each is fitted to one part and judged on the held-out part."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ _TRAINING_PART = 0.75
 class RecordScore:
     """Measured minus simulated displacement of one record, in % of the training stroke.
 
-    `role`: "training" or "validation". `samples`, `left_out`: samples that count, and samples that do not, because they
-    are before the voltage has been through its range or before the part kept apart. `largest`, `rms`: errors with one
-    free constant for the record, because its residual strain and its sensor's zero are not known. `largest_without`,
-    `rms_without`: errors without this constant, on the model's own axis, or of a part kept apart on the axis found
-    from what was before it.
+    `role`: "training" or "validation". `samples`, `left_out`: samples that count, and samples that do not: those before
+    the voltage has been through its range, or before the held-out part. `largest`, `rms`: errors with one free constant
+    for the record, because its residual strain and its sensor's zero are not known. `largest_without`, `rms_without`:
+    errors without this constant, on the model's own axis, or, for the last part of a record, on the axis found from the
+    samples before it.
     """
 
     record: str
@@ -82,7 +82,7 @@ class ModelScore:
 
 
 class Best(NamedTuple):
-    """The model with the least RMS error on what was held out, and the next one; errors in % of the stroke."""
+    """The model with the least RMS error on held-out samples, and the next one; errors in % of the stroke."""
 
     model: str
     rms: float
@@ -96,7 +96,7 @@ class Best(NamedTuple):
 
     def __str__(self) -> str:
         return (
-            f"{self.model} is best on what was held out: {self.rms:.2g} % of the stroke RMS; next is {self.next} with "
+            f"{self.model} is best on held-out samples: {self.rms:.2g} % of the stroke RMS; next is {self.next} with "
             f"{self.next_rms:.2g} %, {self.factor:.3g} times as much."
         )
 
@@ -122,14 +122,14 @@ class ModelComparison:
 
     @property
     def best(self) -> Best | None:
-        """The best model by its RMS error on what was held out; None with fewer than two models that have one."""
+        """The best model by its RMS error on held-out samples; None with fewer than two models that have one."""
         judged = ((score.rms, row.name) for row in self.rows if (score := row.worst("validation")) is not None)
         (least, name), (second, runner_up) = [*sorted(judged), (np.nan, ""), (np.nan, "")][:2]
         return Best(name, least, runner_up, second) if runner_up else None
 
     @property
     def note(self) -> str:
-        """A sentence on what was held out."""
+        """A sentence on the held-out samples."""
         if not self.apart:
             return f"Held out: {', '.join(self.held_out)}."
         return (
@@ -151,7 +151,7 @@ class ModelComparison:
 
 
 def contenders() -> dict[str, Identification]:
-    """Return all models by name as functions: dehyst's, what is done without it, those of installed packages."""
+    """Return all models by name as functions: dehyst's, a table and a line, those of installed packages."""
     ours = {OURS: lambda records: identify(records, structure="auto").actuator}
     own: dict[str, Identification] = {**ours, "two branches": TwoBranches.fit, "linear ratio": Linear.fit}
     return own | _added() | own
@@ -184,7 +184,7 @@ def compare(
     records : Record or sequence of Record
         Records of loops.
     validate : Record or sequence of Record, optional
-        Held-out records. By default, the last quarter of each record is held out whose first three quarters can be
+        Held-out records. By default, the last quarter of each record is held out if its first three quarters can be
         fitted, and the models are fitted to the rest.
     models : Mapping, optional
         Name -> function of the training records; default: dehyst's model, a table of two branches, a straight line,
@@ -230,7 +230,7 @@ def scored(
 
 
 def _kept_apart(records: list[Record]) -> tuple[list[Record], list[Played]]:
-    """Return records without their last quarters, and these; a record too short for that stays whole."""
+    """Return records without their last quarters, and the last quarters; a record too short for that stays whole."""
     training, held_out = [], list[Played]()
     for record in records:
         lead = _TRAINING_PART * float(record.time[-1] - record.time[0])
@@ -245,7 +245,7 @@ def _kept_apart(records: list[Record]) -> tuple[list[Record], list[Played]]:
         held_out += [whole] if usable else []
     if not held_out:
         raise IdentifyError(
-            "no record is long enough to hold its last quarter out: its first three quarters need a full cycle",
+            "no record is long enough to hold out its last quarter: the first three quarters need a full cycle",
             hint="record more cycles, or give other records to judge by",
             change=("validate",),
         )
@@ -296,7 +296,7 @@ class Played(NamedTuple):
 def _residual(model: AbstractModel, piece: Record, kept: Mask, noise: float, *, lead: bool) -> Array:
     """Return measured minus simulated displacement of the samples that count, simulated from the first sample.
 
-    With a `lead`, the residual is on the axis found from the samples before these.
+    With a `lead`, the residual is on the axis found from the samples before those that count.
     """
     before = int(np.argmax(kept)) if lead else 0
     if before and isinstance(model, Actuator):
@@ -308,7 +308,7 @@ def _residual(model: AbstractModel, piece: Record, kept: Mask, noise: float, *, 
     error = piece.displacement - simulated(model, piece.voltage, piece.time).displacement
     if not before:
         return np.asarray(error[kept])
-    # The constant is computed like in `state_after`: from the used samples, or from the last one.
+    # The constant is computed as in `state_after`: from the used samples, or from the last one.
     last = epochs(piece[: before + 1], noise)[-1:]
     return np.asarray(error[kept] - error[last[0].start if last else before : before + 1].mean())
 
@@ -320,14 +320,14 @@ def _row(
     progress(f"fitting {name}")
     row, begin = ModelScore(name), time.perf_counter()
     try:
-        model = fit(list(training))  # A copy, as a function of others may change it.
+        model = fit(list(training))  # A copy, because a foreign function may change it.
         if not all(callable(getattr(model, name, None)) for name in ("simulate", "compensate")):
             raise TypeError(f"its fit returned a {type(model).__name__}, need a model with simulate and compensate")
         row = replace(row, seconds=time.perf_counter() - begin)
         progress(f"simulating {name}")
         return replace(row, scores=tuple(record.score(model, stroke) for record in played))
     except Exception as error:
-        # Models of others may fail in any way: with its type for an error of foreign code.
+        # A foreign model may fail in any way: an error of foreign code is stated with its type.
         words, kind = str(error), type(error).__name__
         known = bool(words) and isinstance(error, _FAILURES)
         return replace(row, failure=words if known else f"{kind}: {words}".removesuffix(": "))

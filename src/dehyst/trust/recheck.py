@@ -45,7 +45,7 @@ from dehyst.trust.changes import LEARNT, SLOW, Change, Known, find_changes
 
 # With a larger change of gain, or error in % of the stroke, a record is of another actuator, or in other units.
 _ANOTHER = 50.0
-# Paths of unchanged stages miss the promise by more than this factor in 1.2 % (`benchmarks/promise.py`).
+# Paths of unchanged stages miss the promise by more than this factor in 1.2 % of cases (`benchmarks/promise.py`).
 _BY_CHANCE = 2.0
 # Changes that are subtracted from the error.
 _SET_ASIDE = ("zero", *SLOW)
@@ -78,7 +78,7 @@ class Recheck(Plotted):
     noise : float
         Standard deviation of the sensor [m].
     without_noise, rms_without_noise : float
-        The largest and the RMS difference that this noise does not explain [m]: they are judged.
+        The largest and the RMS difference that this noise does not explain [m]; these are judged.
     stroke : float
         Displacement between the model's limits [m], the reference of percentages.
     goal : float
@@ -129,7 +129,7 @@ class Recheck(Plotted):
         if self.mismatch:
             return Standing.ANOTHER
         if self.without_noise > allowed:
-            # Above the goal, a model is as it was if it is as promised, or about so and nothing has changed.
+            # Above the goal, a model is as it was if it keeps its promise, or nearly does and nothing has changed.
             unchanged = self.promise is not None and self.promise.largest > allowed
             unchanged = unchanged and all(change.name == "shape" for change in self.changed)
             as_it_was = self._missed_by <= (_BY_CHANCE if unchanged else 1)
@@ -140,7 +140,7 @@ class Recheck(Plotted):
 
     @property
     def kept(self) -> bool:
-        """Whether the promise was kept, of the largest and of the RMS error; not without one."""
+        """Whether the largest and the RMS error keep the promise; False without a promise."""
         return self._missed_by <= 1
 
     @property
@@ -167,7 +167,7 @@ class Recheck(Plotted):
         if not (found := " and ".join(reasons)):
             return ""
         return (
-            f"{self.record}: is plainly not a record of the model's actuator, or in other units: {found}, "
+            f"{self.record}: is clearly not a record of the model's actuator, or in other units: {found}, "
             f"more than {_ANOTHER:g} %; check that model and record belong together, and the scales"
         )
 
@@ -188,10 +188,7 @@ class Recheck(Plotted):
 
     @property
     def advises_update(self) -> bool:
-        """Whether an update may learn why the model is worse than promised, or what has changed of one above the goal.
-
-        That is gain, width, or another shape.
-        """
+        """Whether an update may learn a change of gain, width or shape that explains the missed promise or goal."""
         own = [change for change in self.changed if not set(change.parts) <= set(_SET_ASIDE)]
         learnable = not self.changed or any(part in LEARNT for change in own[:1] for part in change.parts)
         return learnable and (
@@ -217,7 +214,7 @@ class Recheck(Plotted):
         }[self.standing]
 
     def change_sentences(self) -> tuple[str, ...]:
-        """Return a sentence for each change that counts, the largest effect first; none of another actuator."""
+        """Return a sentence for each change that counts, the largest effect first; none for another actuator."""
         changed = () if self.mismatch else self.changed
         return tuple(change.sentence(self.stroke, self.to_record) for change in changed)
 
@@ -273,8 +270,9 @@ _PART = 0.25
 _MANY, _TURN = 20, 0.02
 # A coupling has changed if its difference exceeds this value and this multiple of its standard error.
 _COUPLED, _ERRORS = 0.005, 3.0
-# A record of less than this part of the model's voltages says nothing of the longest elements. A fitted start is that
-# after slow loops if the ways to the first turn differ by less than this part of the promise; samples of its error.
+# A record over less than this part of the model's voltages does not show the longest elements. A fitted start is like
+# one after slow loops if their paths to the first turn differ by less than this part of the promise; samples of its
+# error.
 _LITTLE, _KNOWN, _BEGIN = 0.5, 0.5, 5
 
 
@@ -326,9 +324,9 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         begin = _judged_from(actuator, trace, errors.starts[0], promise)
     slow, cycle = origin.drift and prepared.can_drift, prepared.cycle
     error, drift = _steadied(trace) if slow else (trace.residual - trace.residual.mean(), 0.0)
-    # The constant is the one of complete loops.
+    # The constant is the mean error of complete loops.
     judged = error[begin:] - error[-trace.settled.time.size if begin else 0 :].mean()
-    # As many turns as the excitation for an identification: another record of the kind shows no more.
+    # With as many turns as the recommended excitation has, another record would not show more.
     many = turning_points(record.voltage, _TURN * float(np.ptp(record.voltage))).size > _MANY
     own = (origin.largest_error or 0.0) / NOISE_PEAK if promise is None else promise.rms
     least = _PART * goal / 100 * stroke
@@ -368,7 +366,7 @@ def _check_stage(stage: Stage, record: Record, goal: float | None) -> StageReche
 
 
 def coupling_of(stage: Stage, records: Sequence[Record]) -> tuple[Array, Array]:
-    """Return the coupling matrix (axes, axes) of records, and standard errors; infinite ones if voltages are alike.
+    """Return the coupling matrix (axes, axes) of records, and standard errors; infinite errors if voltages are alike.
 
     Raise `RecordError` if a record is not one of the stage's axes, or an axis stands still.
     """
@@ -386,8 +384,9 @@ def coupling_of(stage: Stage, records: Sequence[Record]) -> tuple[Array, Array]:
 def _judged_from(actuator: Actuator, trace: Trace, start: State, promise: Promise | None) -> int:
     """Return the first sample that is judged: that of the first turning point, unless the fitted `start` is known.
 
-    It is known if it keeps the promise, and leads along the way after slow loops within a part of it; else a changed
-    actuator and one with another past look alike until then. Half of a single loop would not show its width.
+    It is known if the error keeps the promise, and its path is nearly the one after slow loops. Otherwise a changed
+    actuator and an actuator with another past look alike until the turn. Half of a single loop would not show its
+    width.
     """
     if trace.settled.time.size == trace.time.size:
         return 0
@@ -401,7 +400,7 @@ def _judged_from(actuator: Actuator, trace: Trace, start: State, promise: Promis
         for state in (replace(start, displacement_creep=()), *looped)
     )
     bound, apart = 0.0 if promise is None else promise.largest, np.abs(trace.residual - trace.residual[turn:].mean())
-    # An error of the start is largest there, and over at the turn.
+    # An error of the start is largest at the start, and gone after the turn.
     of_start = np.median(apart[:_BEGIN]) > bound >= apart[turn:].max()
     return turn if of_start or min(largest(way - fitted) for way in known) > _KNOWN * bound else 0
 

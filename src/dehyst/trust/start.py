@@ -42,7 +42,7 @@ def start_of(actuator: Actuator, record: Record, *, limits: tuple[float, float] 
     remarks = [*outside.warnings]
     if 0.01 * share * stroke_of(actuator) > model_error(actuator):
         remarks.append(
-            f"{record.name}: its voltages lie {offset:.4g} V off those of the model, {digits(share)} % of the range: "
-            "expect displacements to be off the sensor's by as much"
+            f"{record.name}: its voltages differ from the model's by {offset:.4g} V, {digits(share)} % of the range: "
+            "expect displacements to differ from the sensor's by as much"
         )
     return PossibleStart(record.name, (state,), tuple(remarks))

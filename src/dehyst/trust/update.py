@@ -40,10 +40,10 @@ from dehyst.records import Record, beyond_noise, largest, percent, rms
 from dehyst.trust.recheck import Recheck, check
 
 # Weights that keep changes of neighbours similar: for a record of a few loops, whose held-out parts cannot determine
-# it, and for one with many turning points. Number of rows of the program.
+# this weight, and for one with many turning points. Number of rows of the program.
 _ALIKE, _ALIKE_BY_MANY, _ROWS = 0.1, 0.02, 6000
-# Largest change of all thresholds, as a power of e, and how closely it is found; what a change of all stiffnesses by 1
-# beside it must explain, in errors of the model.
+# Largest common change of the thresholds, as a power of e, and tolerance of its search; what a change of all
+# stiffnesses by 1 must explain besides, in errors of the model.
 _STRETCH, _STRETCHED, _BESIDE = 0.8, 0.02, 3.0
 # A zero of the sensor that has moved by less than this part of the stroke counts as unchanged.
 _KEPT = 0.15
@@ -51,7 +51,7 @@ _KEPT = 0.15
 _DEPENDENT = 1e-8
 # The updated model must predict held-out samples better than the old one by this part.
 _BETTER = 0.95
-# Least part of the voltages that is reported as not visited; an element moves if twice its breakaway is reached.
+# Least part of the voltages that is reported as not visited.
 _NOT_VISITED = 0.02
 
 
@@ -62,8 +62,8 @@ class Update:
     Attributes
     ----------
     actuator : Actuator
-        The updated model, or the old one if the update does not predict the record better. A record on which the old
-        model does not keep its promise widens the promise of either.
+        The updated model, or the old one if the update does not predict the record better. If the old model does not
+        keep its promise on the record, the promise is widened in both cases.
     recheck : Recheck
         The check of the old model against the record, with `changes` of gain, width and zero and their standard
         errors.
@@ -77,7 +77,7 @@ class Update:
     zero : float
         Sensor reading minus the updated model's displacement [m], attributed to the sensor's zero.
     unexplained : float
-        The largest error on the parts held out that the sensor's noise does not explain [m].
+        The largest error on held-out parts that the sensor's noise does not explain [m].
     """
 
     actuator: Actuator
@@ -92,13 +92,13 @@ class Update:
 
     @property
     def sentence(self) -> str:
-        """The result and its numbers in one line: whether the model is another one, and whether it is good enough."""
+        """The result and its numbers in one line: whether the model was updated, and whether it is good enough."""
         lengths, goal = (self.held_out[1], self.before[1], self.recheck.without_noise), self.recheck.goal
         held, old, most = (lines.percent(length, self.recheck.stroke, *lengths, goal=goal) for length in lengths)
-        text = f"Updated: the RMS error is {held} of the stroke on parts held out, where the old model has {old}."
+        text = f"Updated: the RMS error is {held} of the stroke on held-out parts, where the old model has {old}."
         if not self.used:
-            kept = "which its promise allows: it stays" if self.recheck.kept else "which its promise now counts"
-            text = f"Not updated: no other model predicts the record better. The old one misses it by {most}, {kept}."
+            kept = "which its promise allows" if self.recheck.kept else "and its promise is widened by that"
+            text = f"Not updated: no other model predicts the record better. The old model misses it by {most}, {kept}."
         more = f": `{self.recheck.to_record}` shows more" if self.recheck.to_record else ""
         return text if self.good else f"{text} The goal of {goal:g} % on any path is not met{more}."
 
@@ -163,13 +163,13 @@ def update(model: Actuator | Stage, record: Record, *, goal: float | None = None
     """Update a model from a new record of its actuator, even of one loop; return an `Update`, or a `StageUpdate`.
 
     Stiffnesses of slip and smooth elements, the spring and the transformer are solved for again, by the program of the
-    identification. Common changes come first: all displacements by one factor, as a gain, all thresholds by another, as
-    friction that grows or falls, then the stiffness of all elements and the spring; what differs from these is small,
-    and alike for neighbours.
-    Inertia, limits, creep in displacement and the effect of temperature stay; so does the delay, unless the record
-    shows its change alone.
+    identification. Common changes come first: one factor for all displacements, as by a gain, one for all thresholds,
+    as by a change of friction, then the stiffness of all elements and the spring. Further changes are small, and
+    similar for neighbours. Inertia, limits, creep in displacement and the effect of temperature stay; so does the
+    delay, unless the record shows its change by itself.
 
-    Of several axes each actuator is updated from what it has moved itself; the coupling stays, and is checked.
+    With several axes, each actuator is updated from the motion that it causes itself; the coupling stays, and is
+    checked.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ class _Refit:
         self.old = self._stretched()
         made, held_out_models = self._solved(self.old)
         if self.old.displacement_creep is not None or self.record.measured is not None:
-            # The updated model knows the creep from before the record, and what lies between events.
+            # Prepare again: the updated model predicts creep from before the record, and positions between events.
             self.prepared = prepare_for(made, self.record)
             made, held_out_models = self._solved(made)
         before, after = self._error(self.recheck.trace), self._error(self._trace(made))
@@ -234,7 +234,7 @@ class _Refit:
             source = {"updated_from": self.old.name, "updated_with": self.prepared.source()}
             made = replace(made, provenance={**self.old.provenance, **source})
         else:
-            # The old model is still that of its own records.
+            # The old model stays as its own records gave it.
             made, after, held_out = self.given, before, before
         if used or not self.recheck.kept:
             made = with_identification(made, validity=self._validity(after, held_out, used=used), **known)
@@ -245,7 +245,7 @@ class _Refit:
     def _stretched(self) -> Actuator:
         """Return the old model with the friction that explains the record best; its gain may change too.
 
-        A gain of the displacement scales all thresholds and places; one of the voltage is left to the stiffnesses.
+        A gain of the displacement scales all thresholds and places; a gain of the voltage is left to the stiffnesses.
         """
         from scipy.optimize import minimize_scalar
 
@@ -285,12 +285,12 @@ class _Refit:
         rows, grid = compared.program.rows.thinned(_ROWS), replace(compared.program.grid, sliding=moving)
         fold = part_of((rows.time - self.record.time[0]) / float(np.ptp(self.record.time))) % FOLDS
         alike = _ALIKE if self.recheck.to_record else _ALIKE_BY_MANY
-        # A drift is solved for beside the changes: before them it would take a part of these.
+        # A drift is solved for together with the changes: solved for first, it would take a part of them.
         drift = Parts(compared.frame.motion, [self.prepared.reduced], rows).of(("drift",) if self.drifts else ())
         return Program(rows, grid, compared.program.floor, alike, tuple(drift), coefficients(near), FOLDS, fold)
 
     def _solved(self, near: Actuator) -> tuple[Actuator, list[Actuator]]:
-        """Return the model of the whole record, and those without each part of it."""
+        """Return the model of the whole record, and one for each part of it that is left out."""
         program = self._program(near)
         toward = self._in_common(program, program.unknowns_of(coefficients(self.old)))[0]
         program = replace(program, toward=toward)
@@ -300,7 +300,7 @@ class _Refit:
 
     @staticmethod
     def _in_common(program: Program, unknowns: Array, beside: float = 0.0) -> tuple[Array, float]:
-        """Return unknowns (q,) with a bend of the spring and a line of the elements, and what they miss [m].
+        """Return unknowns (q,) after a bend of the spring and a linear change of the elements, and their residual [m].
 
         `beside` [m]: what a change of all stiffnesses by 1 must explain.
         """
@@ -324,7 +324,7 @@ class _Refit:
         return np.maximum(unknowns + basis @ sizes[free:], 0.0), rms(common @ sizes - target)
 
     def _model(self, program: Program, found: Solution, whole: Solution) -> Actuator:
-        """Return the old model with the coefficients of a solution; a constant without rows is that of the whole."""
+        """Return the old model with the coefficients of a solution; an offset without rows is that of `whole`."""
         old, last = self.old, max(whole.offsets)
         made = found.to_actuator(program.grid, found.offsets.get(last, whole.offsets[last]))
         smooth = old.smooth
@@ -337,7 +337,7 @@ class _Refit:
         )
 
     def _trace(self, made: Actuator) -> Trace:
-        """Return a model played along the record, from a start and with a sensor's zero that are fitted to it."""
+        """Return a model simulated along the record, with a start and a zero of the sensor that are fitted to it."""
         compared = compare(made, self.prepared, self.recheck.stroke, drifting=self.drifts)
         return errors_of(made, compared, "validation")[1]
 
@@ -347,7 +347,7 @@ class _Refit:
         return np.asarray(trace.residual - trace.residual.mean())
 
     def _held_out(self, models: list[Actuator]) -> Array:
-        """Return the error [m] of all parts of the record, each simulated by the model without it."""
+        """Return the error [m] of all parts of the record, each simulated by the model that was fitted without it."""
         errors = []
         for k, model in enumerate(models):
             trace = self._trace(model)
@@ -366,7 +366,7 @@ class _Refit:
         most, missed = (beyond_noise(error, noise)[k] for k, error in enumerate((after, held_out)))
         most, missed = (0.0, 0.0) if self.recheck.kept else (most, missed)
         lag = next(change for change in self.recheck.changes if change.name == "lag")
-        # A lag may have become a width, unless the record names the change alone.
+        # The update may take a lag for a width, unless the record names the change by itself.
         named = any(len(change.parts) == 1 for change in self.recheck.changed)
         validity = _with_record(known.validity, self.record, missed, most, alone=used and not named)
         error = lag.error if lag.counts else 0.0 if named else abs(lag.value)
@@ -381,12 +381,12 @@ class _Refit:
         parts = (low, min(least, high)), (max(most, low), high)
         unseen = [lines.ends(a, b, "V") for a, b in parts if b - a > _NOT_VISITED * (high - low)]
         if unseen:
-            missing.append(f"{' and '.join(unseen)} were not visited: the old model holds there.")
+            missing.append(f"{' and '.join(unseen)} were not visited: the old model stays there.")
         delay = actuator.delay if actuator.delay == self.given.delay else 0.0
         kept = {"delay": delay, "inertia": actuator.dynamics, "creep": actuator.displacement_creep}
         names = [name for name, part in kept.items() if part]
         if names:
-            missing.append(f"Not fitted anew: {', '.join(names)} and the ratios of thresholds.")
+            missing.append(f"Not fitted again: {', '.join(names)} and the ratios of thresholds.")
         before, after = (known and known.validity for known in (self.given.identification, made.identification))
         if before and after and after.speeds[1] < before.speeds[1]:
             missing.append(f"Branches faster than {after.speeds[1]:.3g} V/s count as not tested.")
