@@ -44,7 +44,7 @@ class TerminalRun(Run):
             sys.stdout.flush()
 
     def ending(self) -> None:
-        """Say that it ends; not through the stream, which may be in the middle of a line."""
+        """Report the end by the descriptor, because the stream may be in the middle of a line."""
         with suppress(OSError):
             os.write(2, ("\r\033[K" if sys.stderr.isatty() else "").encode() + _ENDING)
 
@@ -74,7 +74,7 @@ def run_command(ctx: click.Context) -> None:
 
 
 def _refuse(ctx: click.Context, error: DehystError, as_json: bool, known: Mapping[str, Any]) -> None:
-    """Print an error, and commands with columns that would mend it; as JSON too, beside what is known."""
+    """Print an error, and commands with columns that may solve it; as JSON too, with the `known` values."""
     trials: list[str] = []
     if (columns := ctx.params.get("columns")) is not None:
         if isinstance(error, DecimalSignError):

@@ -110,7 +110,7 @@ def main(context: click.Context) -> None:
 
 
 def _run(context: click.Context) -> None:
-    """Run a command, with what that needs, which `--help` does not load."""
+    """Run a command; its modules are loaded here, so that `--help` does not load them."""
     from dehyst.cli.command import run_command
 
     run_command(context)

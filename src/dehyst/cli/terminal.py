@@ -39,7 +39,7 @@ def note(sentence: object) -> None:
 
 
 def progress_line() -> Callable[[str], None]:
-    """Return a function that shows progress: it overwrites one line on a terminal, elsewhere it prints one at times."""
+    """Return a function that shows progress: it overwrites a line on a terminal, elsewhere it prints some lines."""
     terminal, last = sys.stderr.isatty(), time.monotonic()
 
     def progress(words: str) -> None:
@@ -67,7 +67,7 @@ def _write(text: str, *, err: bool) -> None:
 
 @contextmanager
 def guarded_streams() -> Iterator[None]:
-    """Run a command so that a standard output that cannot be written ends with a message and status 1."""
+    """Run a command so that an error of standard output ends with a message and status 1."""
     # A stream that was closed must not give its number to the next file.
     while os.open(os.devnull, os.O_RDWR) <= 2:
         pass

@@ -21,12 +21,12 @@ _FOLDER = click.Path(path_type=Path)
 def workbench(
     run: Run,
     folder: Path = argument(_FOLDER, required=False, default="dehyst-workbench"),
-    port: int | None = option("0: any that is free; default: 8754, or any.", click.IntRange(0, 65535)),
+    port: int | None = option("0: any free port; default: 8754, or any free one.", click.IntRange(0, 65535)),
     browser: bool = option("Open the page.", words="--browser/--no-browser", default=True),
 ) -> Result:
     """Open the workbench in a browser: drop a record, identify, draw a path, get the voltage.
 
-    Everything is kept in FOLDER, with a script of the commands that would do the same. Only this machine
+    Everything is kept in FOLDER, with a script of the commands that do the same. Only this machine
     can reach the page, by the printed link. Ctrl-C ends it.
     """
 

@@ -36,7 +36,7 @@ def insight(
     model: Path = argument(),
     records: tuple[Path, ...] = argument(nargs=-1),
     trajectory: Path | None = option("Show the promise of the path in this file.", INPUT, of_one_axis),
-    zero: float | None = number("Zero of the trajectory, as in compensate.", _of_path),
+    zero: float | None = number("Zero of the trajectory, as in dehyst compensate.", _of_path),
     limits: tuple[float, float] | None = pair("Voltages of the trajectory [V]; default: those of the model.", _of_path),
     slew_rate: OfAxes = slew_option("Largest slew rate of the trajectory [V/s].", _of_path),
     report: Path | None = REPORT,
@@ -45,7 +45,7 @@ def insight(
     """Assess a MODEL by the RECORDS that it was identified from: its promise, and what to record next.
 
     A trajectory is read as by dehyst compensate; a name in --columns counts for the file that has it. The status is 1
-    if there is a warning, as for a path that cannot be followed.
+    if there is a warning, for instance if a path cannot be followed.
     """
     known = AxesModel.read(run, model)
     known.demand(columns, RECORD, "on records")
@@ -85,8 +85,8 @@ def check(
     run: Run,
     model: Path = argument(),
     record: Path = argument(),
-    goal: float | None = number("Largest error [% of the stroke] that is good; default: the model's, or 1."),
-    log: Path | None = option("Append a row for each axis to this table (CSV); --force begins it anew.", CONTINUED),
+    goal: float | None = number("Largest allowed error [% of the stroke]; default: the model's, or 1."),
+    log: Path | None = option("Append a row for each axis to this table (CSV); --force begins a new one.", CONTINUED),
     columns: Columns = COLUMNS,
 ) -> Result:
     """Check whether a MODEL is still true by a new RECORD of its actuator: its present error, and what has changed.
@@ -124,13 +124,13 @@ _LOGGED += ",promise_kept,changes"
 
 
 def _read_log(path: Path, *, again: bool) -> bytes:
-    """Return a table of checks, or the header of one that begins; raise `FileFormatError` if it is another table."""
+    """Return the table of checks, or the header of a new one; raise `FileFormatError` for any other table."""
     try:
         before = (path.read_bytes() if path.exists() and not again else b"") or _LOGGED.encode()
     except OSError as error:
         raise unwritten(path, error) from error
     if before.split(b"\n")[0].rstrip() != _LOGGED.encode():
-        raise FileFormatError(f"{path}: is another table than those that --log writes; give another name with --log")
+        raise FileFormatError(f"{path}: is not a table that --log has written; give another name with --log")
     return before
 
 
@@ -158,14 +158,14 @@ def update(
     model: Path = argument(),
     record: Path = argument(),
     output: Path = output("Write the new model here (JSON)."),
-    goal: float | None = number("Largest error allowed [% of the stroke]; default: the model's, or 1."),
+    goal: float | None = number("Largest allowed error [% of the stroke]; default: the model's, or 1."),
     columns: Columns = COLUMNS,
 ) -> Result:
     """Update a MODEL from a new RECORD of its actuator, even of a single loop, and report what has changed.
 
-    If no updated model predicts the record better, the output is the old model; a record on which it does not keep its
-    promise widens it. A record that clearly belongs to another actuator is refused. The coupling of several axes is
-    checked, not changed. The status is 0 if the error on held-out parts and the promise are within the goal, else 1.
+    If no updated model predicts the record better, the output is the old model, with a wider promise if it did not keep
+    its own. A record that clearly belongs to another actuator is refused. The coupling of several axes is checked, not
+    changed. The status is 0 if the error on held-out parts and the promise are within the goal, else 1.
     """
     known = AxesModel.read(run, model)
     known.demand(columns, RECORD, "on a record")

@@ -29,7 +29,7 @@ Limits = tuple[float, float] | None
 
 
 class _AxisNumber(click.ParamType):  # type: ignore[type-arg]
-    """A number [AXIS=]NUMBER of an axis, or of all axes, "", if none is named; "none" is infinite."""
+    """A number [AXIS=]NUMBER of an axis, or of all axes (named "") if none is named; "none" is infinite."""
 
     name = "number"
 
@@ -41,7 +41,7 @@ class _AxisNumber(click.ParamType):  # type: ignore[type-arg]
 
 @dataclass(frozen=True)
 class OfAxes:
-    """Values of an option, each of an axis, or of all axes, "" ."""
+    """Values of an option, each with its axis, or with "" for all axes."""
 
     name: str
     given: Sequence[tuple[str, Any]] = ()
@@ -126,14 +126,14 @@ class AxesModel:
     def slews(self, given: OfAxes = OfAxes("slew_rate")) -> tuple[list[float | None], list[str]]:
         """Return the largest slew rate [V/s] of each axis, and a line on each rate that comes from the model.
 
-        The rate is the given one, else the one that the model keeps, else None: a path has its own speed.
+        The rate is the given one, else the one that the model keeps, else None, and a path has its own speed.
         """
         rates, lines = [], []
         for actuator, rate in zip(self.actuators, given.of(self.axes), strict=True):
             known = actuator.identification
             kept = None if known is None or rate is not None else known.allowed_slew_rate
             rates.append(kept if rate is None else None if rate == math.inf else rate)
-            words = f"slew rate: at most {kept or 0:.4g} V/s, which the model keeps; --slew-rate takes another"
+            words = f"slew rate: at most {kept or 0:.4g} V/s, which the model keeps; --slew-rate sets another"
             lines.append([words] if kept else [])
         return rates, self.prefixed(lines)
 
@@ -202,9 +202,7 @@ class AxesModel:
         names = ((quantity, getattr(kept, quantity)) for quantity in ("time", "voltage", "displacement"))
         if any(name is not None and table.fitting(quantity, name) != 1 for quantity, name in names):
             return read(path, columns)
-        run.note(
-            f"{path.name}: read by the columns of the model's own records, {known.columns}; --columns takes others"
-        )
+        run.note(f"{path.name}: read by the columns of the model's own records, {known.columns}; --columns sets others")
         return record_of(table, kept, path.stem)
 
     def recorded(self) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""`calibrate`: the whole experiment on an instrument, and the progress of what runs on one."""
+"""`calibrate`: the whole experiment on an instrument, and the progress of operations on one."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def _names(rig: str, axes: str | None) -> list[str] | None:
 def calibrate(
     run: Run,
     rig: str = argument(None),
-    output: Path = output("Folder; an earlier calibration continues.", CONTINUED, default="dehyst-calibration"),
+    output: Path = output("Folder; an earlier calibration in it continues.", CONTINUED, default="dehyst-calibration"),
     axes: str | None = option("Calibrate these axes of one body together, as 1,2,3; default: one axis."),
     limits: OfAxes = limits_option("Range of the voltage [V]; default: the device's."),
     slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: the device's."),
@@ -98,7 +98,7 @@ def calibrate(
     plan = Plan(frequency=frequency, goal=goal)
     if not dry_run and not (output / "records").is_dir():
         demand_own_folder(output, "records", "", force=run.force)
-    # A rig of one axis need not know lists.
+    # A rig of one axis need not accept lists.
     asked: Any = [each if len({*each}) > 1 else each[0] for each in (allowed, steepest)]
     with _left(output), open_rig(rig, names, limits=asked[0], slew_rate=asked[1]) as instrument:
         if len(instrument.axes) != len(every):
@@ -119,7 +119,7 @@ def calibrate(
     if kept := calibration.kept:
         began = calibration.training.meta["started"]
         played = f"from records on disk, {began}, not played again: {', '.join(kept)}"
-        warnings = [f"{played}; give another -o to measure anew", *warnings]
+        warnings = [f"{played}; give another -o to measure again", *warnings]
     fields = {**calibration.as_dict(), "output": str(output)}
     return Result(fields, [*_lines(calibration, output)], warnings=warnings, good=calibration.good)
 
@@ -132,7 +132,7 @@ def _left(output: Path) -> Iterator[None]:
     except (DehystError, KeyboardInterrupt, SystemExit) as error:
         records = output / "records"
         if any(records.glob("*.csv")):
-            # A full disk may have room later; a folder of another instrument remains one.
+            # A full disk may have room later; a folder of another instrument never fits.
             temporary = isinstance(error, RigError) or isinstance(error.__cause__, OSError)
             continues = not isinstance(error, Exception) or temporary
             end = "; the same command continues from there" if continues else ""
@@ -180,7 +180,7 @@ def _calibrated(run: Run, rig: AbstractRig, output: Path, plan: Plan) -> Calibra
 
 
 def _lines(calibration: Calibration, output: Path) -> Iterator[str]:
-    """Yield the verdict of the fit, the errors along a path, and where the files are."""
+    """Yield the promise of the fit, the errors along a path, and where the files are."""
     fit, axes = calibration.fit, calibration.compensated.axes
     yield from fit.summary().split("\n") if not isinstance(fit, Fit) else [fit.summary().split("\n")[0]]
     what = "of all axes together, in % of the stroke of each" if axes else "of nine reversals, in % of the stroke"

@@ -1,4 +1,4 @@
-"""Operations as commands of click: each parameter of a function declares its argument or option as its default.
+"""Operations as commands of click: the default of each parameter of a function declares an argument or option.
 
 The function of a command gets a run and the values of its parameters, and returns a result. The command line and the
 workbench give words, which click reads; see `perform`.
@@ -41,7 +41,7 @@ class OperationError(DehystError, ValueError):
 class Role(Enum):
     """Role of a path in an operation: read, written, a folder of several outputs, or an output that it continues.
 
-    `perform` refuses outputs that exist; an operation looks itself at those that it continues.
+    `perform` refuses outputs that exist; an operation itself checks those that it continues.
     """
 
     INPUT = "input"
@@ -74,7 +74,7 @@ class _Number(click.types.FloatParamType):
     name = "number"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        # Click leaves unknown options to numbers, which may be negative.
+        # Click passes unknown options on to numbers, which may be negative.
         if isinstance(value, str) and value.startswith("--"):
             raise click.NoSuchOption(value.partition("=")[0], ctx=ctx)
         found = super().convert(value, param, ctx)
@@ -126,7 +126,7 @@ def argument(kind: Any = INPUT, **settings: Any) -> Any:
 
 
 def option(text: str, kind: Any = None, *only: Condition, words: str = "", **settings: Any) -> Any:
-    """Return the declaration of an option; `only`: its conditions, `words`: its names if they are not its own name."""
+    """Return the declaration of an option; `only`: its conditions, `words`: its names, by default the parameter's."""
 
     def declared(name: str) -> click.Option:
         names = [name, *(words.split() or [f"--{name.replace('_', '-')}"])]
@@ -151,7 +151,7 @@ def flag(text: str, *only: Condition, **settings: Any) -> Any:
 
 
 def output(text: str, role: FilePath = OUTPUT, *only: Condition, **settings: Any) -> Any:
-    """Return the declaration of the option for an output, by default a file that is needed."""
+    """Return the declaration of the option for an output, by default a required file."""
     needed = not only and not settings
     return option(text, role, *only, words="-o --output", **{"required": needed, **settings})
 
@@ -200,7 +200,7 @@ def command(
 ) -> Callable[[Callable[..., Any]], OperationCommand]:
     """Return a decorator that makes a command of a function, whose defaults declare its parameters.
 
-    `more`: further parameters by name, of a function that takes any. `group`: that of which the command is a kind.
+    `more`: further parameters by name, of a function that takes any. `group`: the command of which this one is a kind.
     """
 
     def made(function: Callable[..., Any]) -> OperationCommand:
@@ -220,7 +220,7 @@ kinds = partial(click.Group, no_args_is_help=True, subcommand_metavar="KIND ..."
 
 
 def argument_of(error: click.UsageError) -> str:
-    """Return the name of the parameter that words of a command do not give as it must be; empty if it is not known."""
+    """Return the name of the parameter with a wrong value in a command; empty if it is not known."""
     parameter, name = getattr(error, "param", None), getattr(error, "option_name", "")
     return str(parameter.name) if parameter is not None else name.lstrip("-").replace("-", "_")
 

@@ -1,4 +1,4 @@
-"""`compare`: dehyst's model, what is done without one, and the models of plug-ins on the same records."""
+"""`compare`: dehyst's model, a table, a straight line and the models of plug-ins on the same records."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _chosen(only: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _lines(found: ModelComparison, *, full: bool) -> Iterator[str]:
-    """Yield who is best and by how much, a row for each model if `full` or without a best one, then the failures."""
+    """Yield the best model and its lead, a row for each model if `full` or if none is best, then the failures."""
     if found.best is not None:
         yield str(found.best)
     if full or found.best is None:

@@ -46,13 +46,13 @@ def compensate(
     model: Path = argument(),
     trajectory: Path = argument(),
     output: Path = output("Write the voltage here (CSV)."),
-    limits: OfAxes = limits_option("Allowed voltages [V]; default: of the records."),
+    limits: OfAxes = limits_option("Allowed voltages [V]; default: those of the records."),
     slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: the model's, or none."),
     zero: float | None = ZERO,
     start: str | Path | None = START,
-    home: bool | None = option("Home before; default: if the start matters.", words="--home/--no-home", default=None),
-    home_within: float | None = number("Longest duration of homing and way [s].", _homes),
-    present: OfAxes = axes_option("Present voltage [V]; default: of --start, or 0.", "[AXIS=]V"),
+    home: bool | None = option("Home first; default: if the start matters.", words="--home/--no-home", default=None),
+    home_within: float | None = number("Longest time of homing and way to the path [s].", _homes),
+    present: OfAxes = axes_option("Present voltage [V]; default: that of --start, or 0.", "[AXIS=]V"),
     on_time: bool | None = option(
         "Lead by the delay; default: if the actuator lags.", None, _of_path, words="--on-time/--late", default=None
     ),
@@ -66,9 +66,9 @@ def compensate(
 ) -> Result:
     """Compute the voltage with which the actuator follows a TRAJECTORY, within limits; the output adds voltage_V.
 
-    Jumps and homings keep to the speed of the model's records. Column phase: 0 homing, 1 way, 2 path. The
-    status is 1 if the voltages miss the path by more than the model does, or the promise exceeds 5 % of the stroke;
-    with --table also if a voltage is clamped or the cycle is not settled.
+    Jumps and homings are not faster than the model's records. Column phase: 0 homing, 1 way to the path, 2 path. The
+    status is 1 if the voltages miss the path by more than the error of the model, or the promise exceeds 5 % of the
+    stroke; with --table also if a voltage is clamped or the cycle is not settled.
     """
     if start is not None and home:
         got = f"{start} with --home, after which the state is known"
@@ -94,7 +94,7 @@ def compensate(
         asked |= {"limits": allowed[0], "slew_rate": slews[0], "start": begins[0], "present": volts[0]}
         found = wave_table(known.actuators[0], period, cycles=cycles, **asked)
         plans = [replace(found.plan, warnings=found.warnings)]
-        # The cycle follows at once, so that its first sample is not written twice.
+        # The table of the cycle follows, so that its first sample is not written twice.
         rows = {"time_s": found.plan.time, "phase": found.plan.phase, **known.table(plans)}
         rows = {name: values[:-1] for name, values in rows.items()}
     size = len(next(iter(rows.values())))
@@ -152,7 +152,7 @@ def _answer(
     good = not any(map(fault_of, plans))
     if found is not None:
         delay = plans[0].promise.delay if plans[0].promise else axes[0][0].delay
-        late = f", not led by the delay, {1e3 * delay:.4g} ms" if delay else ""
+        late = f", without a lead for the delay of {1e3 * delay:.4g} ms" if delay else ""
         lines.append(
             f"the steady table after {counted(found.cycles, 'cycle')} of start-up, to {length(found.error)}; "
             f"{counted(len(found.cycle), 'sample')} a cycle{late}: {made['table']}"
@@ -170,7 +170,7 @@ def _period_of(path: Path, wanted: Array, clock: Mapping[str, Array], warmth: Ar
     from scipy.interpolate import CubicSpline
 
     if warmth is not None:
-        raise ModelError(argument="table", got="a path with temperatures", need="one without: it is at the reference")
+        raise ModelError(argument="table", got="a path with temperatures", need="one without: a table has none")
     if not clock:
         raise RecordError(argument="table", got="no times", need="a time of each sample", hint="give --columns rate=HZ")
     even_rate(path, clock["time_s"])
@@ -186,7 +186,7 @@ def _period_of(path: Path, wanted: Array, clock: Mapping[str, Array], warmth: Ar
 
 
 def _numbers(actuator: Actuator, plan: PathPlan, limits: Limits, slew: float | None) -> dict[str, Any]:
-    """Return the plan of an axis as JSON values; the duration of a homing is without the way."""
+    """Return the plan of an axis as JSON values; the duration of a homing does not include the way."""
     homing, time = plan.homing, plan.time
     return {
         "clamped": int(plan.clamped[plan.first :].sum()),

@@ -46,7 +46,7 @@ def export(
     limits: OfAxes = limits_option("Voltages allowed [V]; default: those of the records.", _of_loop),
     slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: the model's, or none.", _of_loop),
     period: float | None = option("Time between steps [s]; a model that depends on time needs it.", NUMBER),
-    preview: bool = flag("Compensate delay and inertia; give displacements in advance.", _of_loop),
+    preview: bool = flag("Compensate delay and inertia; displacements are needed in advance.", _of_loop),
     name: str | None = option("Prefix of files and functions; default: piezo, or stage."),
     kind: str = option(
         "Kind of FMU: compensator (displacement to voltage), or virtual actuator.",

@@ -21,13 +21,13 @@ __all__ = ["AS_FOUND", "PATH", "RECORD", "VOLTAGE", "Columns"]
 AS_COLUMNS = Parsed(Columns)
 _FORM = "As 'time=Time:ms, voltage=Ch1*100, displacement=Sensor:um', or @FILE; see dehyst show --help."
 COLUMNS: Any = option(_FORM, AS_COLUMNS, default=AS_FOUND)
-GAIN: Any = number("Gain of the amplifier: its input, a voltage over the gain, is a column too.")
+GAIN: Any = number("Gain of the amplifier; its input, the voltage divided by the gain, becomes a column.")
 
 
 def columns_in(columns: Columns, table: Table, other: Table | None = None) -> Columns:
-    """Return columns without the names that a table lacks; with an `other` table, only without those that it has.
+    """Return columns without the names that a table lacks; names that an `other` table lacks too stay.
 
-    So one text serves two files. A rate is of the table without a time.
+    One text can thus serve two files. A rate belongs to the table without a time.
     """
 
     def lacks(file: Table, key: str, name: Any) -> bool:

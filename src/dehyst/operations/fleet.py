@@ -16,7 +16,7 @@ from dehyst.records import read
 def fleet(
     run: Run,
     records: tuple[Path, ...] = argument(nargs=-1),
-    output: Path = output("Write this table (.parquet), or continue it; --force begins it anew.", CONTINUED),
+    output: Path = output("Write this table (.parquet), or continue it; --force begins a new one.", CONTINUED),
     scheduler: str | None = option("Dask scheduler, as tcp://host:8786; default: a process for each processor."),
     columns: Columns = COLUMNS,
 ) -> Result:

@@ -27,9 +27,9 @@ from dehyst.records import largest, rms
 from dehyst.report.html import document, words
 from dehyst.report.sections import followed as followed_sections
 
-# Part by which a rate may differ without a remark, and of a sample that is rounding.
+# Part by which a rate may differ without a remark, and part of a sample that is rounding.
 _RATES = 0.01
-# Most repetitions that learn by default.
+# Largest number of learning repetitions by default.
 _MOST = 20
 
 
@@ -42,18 +42,18 @@ def follow(
     output: Path = output("Folder for record, report, and the learnt voltages.", FOLDER, default="dehyst-follow"),
     repeat: int | None = option("How often; default: once, with --learn until the error stays.", click.IntRange(1)),
     learn: bool = flag("Correct each repetition by the error of the one before."),
-    feedback: bool = flag("Correct each sample by the reading before it: of one axis, at most at 200 Hz."),
+    feedback: bool = flag("Correct each sample by the reading before it; for one axis, at 200 Hz at most."),
     limits: OfAxes = limits_option("Range of the voltage [V]; default: that of the model and the device."),
-    slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: what the model keeps, else the device's."),
+    slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: that of the model, else the device's."),
     zero: float | None = ZERO,
     columns: Columns = COLUMNS,
 ) -> Result:
     """Follow a path on RIG after a homing, measure the error, and compare it with the promise.
 
-    RIG: as of dehyst calibrate. The voltage ends at the safe one; Ctrl-C brings it there too. A path that the voltages
-    miss, or without --learn and --feedback a promise over 5 % of the stroke, is refused before anything moves, unless
-    --force is given. The status is 1 if a voltage of the path was clamped, the error exceeds the promise, or the sensor
-    is not believed.
+    RIG: as in dehyst calibrate. At the end, also by Ctrl-C, the voltage goes to its safe value. Without --force, a path
+    is refused before anything moves if the voltages miss it, or if its promise exceeds 5 % of the stroke and neither
+    --learn nor --feedback is given. The status is 1 if a voltage of the path was clamped, the error exceeds the
+    promise, or the sensor is not believed.
     """
     if learn and feedback:
         raise ModelError(argument="learn, feedback", got="both", need="one of them")
@@ -72,7 +72,7 @@ def follow(
         faults = [part.failure if learn or feedback else fault_of(part) for part in parts]
         words = "; ".join(known.prefixed([fault] if fault else [] for fault in faults))
         if words and not run.force:
-            hint = "nothing was moved; dehyst compensate says what fits; --force follows this path"
+            hint = "nothing was moved; dehyst compensate says which path fits; --force follows this one"
             raise ModelError(words.removesuffix("."), argument="path", hint=hint)
 
     allowed, (slews, _) = limits.of(known.axes), known.slews(slew_rate)
@@ -110,7 +110,7 @@ def _bounds(
     """Return the limits of each axis; note what is narrower than given."""
     if len(rig.axes) != len(known.axes):
         names = ", ".join(rig.axes)
-        raise RigError(f"{rig.name}: has the axes {names}, the model {', '.join(known.axes)}; give its model")
+        raise RigError(f"{rig.name}: has the axes {names}, the model {', '.join(known.axes)}; give another model")
     bounds, remarks = [], []
     for part, actuator, limit, slew in zip(rig.rigs, known.actuators, allowed, slews, strict=True):
         low, high = voltages_of(actuator)
@@ -172,5 +172,5 @@ def _head(known: AxesModel, followed: FollowedPath) -> str:
     if any(followed.clamps):
         head += f"; {followed.clamps.limited} samples were clamped at a limit, {followed.clamps.slewed} slewed"
     if False in followed.kept:
-        head += f"; that is more than was promised, and {followed.cause}"
+        head += f"; this is more than was promised, and {followed.cause}"
     return head

@@ -23,7 +23,7 @@ from dehyst.records import read
 from dehyst.report import write_report
 from dehyst.trust import insight
 
-# Remarks beside the promise; the others need --verbose.
+# Number of remarks beside the promise; the others need --verbose.
 _REMARKS = 2
 
 
@@ -34,16 +34,16 @@ def _of_several(given: Values) -> str:
 # Arguments of `dehyst.identify`.
 _SETTINGS = {
     "structure": option(
-        "auto: by held-out time. maxwell_slip: as in Yeh's paper.",
+        "auto: by the error on held-out time. maxwell_slip: as in Yeh's paper.",
         click.Choice(["auto", "maxwell_slip"]),
         default="auto",
     ),
-    "goal": number("Largest error [% of the stroke] that is good.", default=1.0),
+    "goal": number("Largest allowed error [% of the stroke].", default=1.0),
     "sensor_lag": number("Time constant of the sensor's filter [s]."),
-    "lag_of": option("Who lags in the records, if that is known.", click.Choice(["actuator", "sensor"])),
+    "lag_of": option("What lags in the records, if it is known.", click.Choice(["actuator", "sensor"])),
     "delay": number("Lag of the displacement [s]; default: estimated."),
     "drift": option("Remove a drift of each record.", words="--drift/--no-drift", default=True),
-    "shared_zero": flag("The sensor kept its zero throughout.", _of_several, words="--shared-zero"),
+    "shared_zero": flag("The sensor kept its zero in all records.", _of_several, words="--shared-zero"),
 }
 
 
@@ -97,7 +97,7 @@ def _with_defaults(model: Actuator | Stage, columns: Columns, slew_rate: float |
 
 
 def _answer(fit: Fit | StageFit) -> list[str]:
-    """Return the promise of a good fit and its first reservations and remarks; of another one, all reasons."""
+    """Return the promise of a good fit and its first reservations and remarks; for any other fit, all reasons."""
     brief = fit.summary().split("\n")
     if not isinstance(fit, Fit) or not fit.good:
         return brief

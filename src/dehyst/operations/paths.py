@@ -53,8 +53,8 @@ def reason_of(promise: Promise | None) -> list[str]:
     cause = max(promise.parts, key=promise.parts.__getitem__)
     known = [each.sentence for each in promise.untested if (each.what == "temperature") is (cause == "temperature")]
     if cause == "model" and not known:
-        return ["The model misses held-out parts of its records that far, and no excitation tests more."]
-    # The error of a start and of what the voltages miss is remarked by the plan.
+        return ["The model misses held-out parts of its records by as much, and no excitation tests more."]
+    # The plan itself has remarks on the start and on missed samples.
     return [] if cause in ("start", "missed") else known[:1]
 
 
@@ -69,7 +69,7 @@ def fault_of(plan: PathPlan) -> str:
 def temperature_of(
     known: AxesModel, columns: Columns, table: Table, *, remark: Callable[[str], object]
 ) -> Array | None:
-    """Return the temperature (n,) [degC] in a table: the named column, or the only one that is one; None if none is.
+    """Return the temperature (n,) [degC] in a table: the named or the only temperature column; None if there is none.
 
     If the model does not depend on temperature, a column that was not requested is left out, with a remark.
     """

@@ -29,7 +29,7 @@ JOURNEY: dict[str, dict[str, tuple[str, str]]] = {
         "scan": ("waves", "Write the path of a scan to follow"),
         "compensate": ("compensate", "The voltage that follows a path"),
         "simulate": ("simulate", "The displacement that a voltage causes"),
-        "check": ("assess", "Whether a model is still true, by a new record"),
+        "check": ("assess", "Check with a new record whether a model is still true"),
         "update": ("assess", "Update a model from one new record"),
         "follow": ("follow", "Follow a path on an instrument, measure the error, learn"),
     },

@@ -1,4 +1,4 @@
-"""A run of an operation: its progress reports, its result, and that a file that exists is kept."""
+"""A run of an operation: its progress reports, its result, and the protection of files that exist."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Run:
     force : bool
         Whether outputs may replace files.
     known : dict
-        JSON values that are known already while it runs, and if it fails.
+        JSON values that are known before the end, also if the operation fails.
     """
 
     def __init__(self) -> None:
@@ -123,7 +123,7 @@ def perform(ctx: click.Context, run: Run) -> Result:
     """Run the operation of a command with the values in its context.
 
     Raise `DehystError` if a parameter has no effect, or if an output is an input, exists or cannot be written: no
-    result is lost for lack of a place. The operation may raise too.
+    result is lost because it has no place. The operation may raise too.
     """
     given, values = given_in(ctx), {name: value for name, value in ctx.params.items() if name not in HOUSE}
     run.command, run.force = command_of(ctx), bool(ctx.params.get("force"))

@@ -44,7 +44,7 @@ def simulate(
     clock = starts.clock_columns(paths[0], time)
     write_table(output, clock | known.table(paths, wanted=False))
     outsides = [outside_identified(*each, refuse=False) for each in zip(known.actuators, given.T, strict=True)]
-    late = "the measured displacement lagged by {:.4g} ms, which is left out here"
+    late = "the measured displacement lagged by {:.4g} ms; the output does not have this lag"
     warnings += known.prefixed(
         [*outside.warnings, *path.warnings, *([late.format(1e3 * delay)] if delay else [])]
         for outside, path, delay in zip(outsides, paths, [actuator.delay for actuator in known.actuators], strict=True)

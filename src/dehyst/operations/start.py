@@ -1,4 +1,4 @@
-"""The initial state of a model: as given, its uncertainty, and what a file of voltages does not contain."""
+"""The initial state of a model: as given, its uncertainty, and what to do before a file is played."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def starts_of(
 ) -> tuple[list[PossibleStart | None], list[str]]:
     """Return the start of each axis (None if not given) and remarks.
 
-    `present`: voltages [V] to which the actuators moved since. `rests`: whether they still rest at the voltages of
+    `present`: voltages [V] to which the actuators moved after it. `rests`: whether they still rest at the voltages of
     the start, the last ones of a file.
     """
     if start is None:
@@ -113,7 +113,7 @@ def start_words(actuator: Actuator, start: PossibleStart, state: State | None = 
 
 
 def _volts(actuator: Actuator, voltage: float) -> str:
-    """Return a voltage [V] of an actuator as text, without digits that do not count."""
+    """Return a voltage [V] of an actuator as text, with significant digits only."""
     return f"{place(voltage, float(np.ptp(voltages_of(actuator))))} V"
 
 
@@ -134,7 +134,7 @@ def open_start(path: PathPlan) -> list[str]:
         return []
     largest, first = (f"{digits(error.percent(length))} %" for length in (error.largest, float(error.difference[0])))
     remedy = "give --start" if path.start.name == "unknown" else "home the actuator first"
-    return [f"the start leaves {largest} of the stroke open, {first} at the first sample: {remedy}"]
+    return [f"the start is uncertain by {largest} of the stroke, {first} at the first sample: {remedy}"]
 
 
 def start_fields(path: PathPlan) -> dict[str, Any]:
@@ -155,7 +155,7 @@ def before_path(
     longest = creep_times(actuator).max(initial=0.0)
     present = 0.0 if unknown else actuator.voltage(path.start.within(actuator, limits))
     if given is None and abs(first - present) > 0.01 * max(abs(value) for value in (present, *voltages_of(actuator))):
-        origin, hint = ("", "; --present V puts the way into the file") if unknown else ("that of the start, ", "")
+        origin, hint = ("", "; --present V puts the ramp into the file") if unknown else ("that of the start, ", "")
         yield (
             f"the first voltage, {_volts(actuator, first)}, is {_volts(actuator, abs(first - present))} away from "
             f"{origin}{_volts(actuator, present)}: "
@@ -164,7 +164,7 @@ def before_path(
     if longest and path.start.name in ("top", "bottom", "relaxed"):
         yield (
             f"this model creeps, and --start {path.start.name} assumes that the actuator has rested there for much "
-            f"longer than {longest:.3g} s; otherwise the displacement will be off: leave out --start"
+            f"longer than {longest:.3g} s; otherwise the displacement has an error: leave out --start"
         )
 
 

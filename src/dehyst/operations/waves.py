@@ -29,11 +29,11 @@ def numbers(text: str) -> tuple[float, ...]:
 # Options of every excitation.
 _DRIVEN: dict[str, Any] = {
     "output": output("Write time and voltage here (CSV)."),
-    "frequency": number("Cycles per second [Hz], of recommended the slowest ones; as you will use it.", default=0.1),
-    "sample_rate": number("Samples per second [Hz]; default: 400 samples a cycle, recommended 1000."),
+    "frequency": number("Cycles per second [Hz], for recommended the slowest ones; as in later use.", default=0.1),
+    "sample_rate": number("Samples per second [Hz]; default: 400 samples a cycle, for recommended 1000."),
     "base": number("Voltage [V] at which a protocol starts and ends.", default=0.0),
     "present": number("Voltage [V] on the actuator now, if that is not the base: a ramp leads to the base."),
-    "limits": pair("Voltages allowed [V]; default: up to the highest one given, of either sign."),
+    "limits": pair("Allowed voltages [V]; default: up to the highest given one, of either sign."),
     "slew_rate": number("Largest abs(dv/dt) [V/s]; a low one makes the excitation longer."),
     "gain": GAIN,
 }
@@ -116,8 +116,8 @@ _add_excitation(
     standard.staircase,
     **_VOLTAGE,
     hold=number("Time at each voltage [s].", default=60.0),
-    steps=option("Number of steps up, and down.", int, default=5),
-    back=flag("Step back once after each two steps: inner loops at all levels."),
+    steps=option("Number of steps in each direction.", int, default=5),
+    back=flag("Step back once after every two steps, for inner loops at all levels."),
 )
 
 
