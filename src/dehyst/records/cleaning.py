@@ -32,19 +32,19 @@ if TYPE_CHECKING:
 # standard deviations of the noise.
 _NEAR, _LEAST, _SIGMAS = 8, 0.02, 8.0
 # A step: largest number of samples, least ratio to the steps nearby, least change in one sample, in least sizes.
-_WIDEST_STEP, _TIMES, _PART = 8, 8.0, 0.05
+_WIDEST_STEP, _STEP_RATIO, _SAMPLE_PART = 8, 8.0, 0.05
 # Least swing that the voltage does not cause, as a part of the displacement's step and of its range.
 _SWING, _VISIBLE = 0.02, 0.002
 # Largest gain after a turn that the voltage can cause, as a multiple of the mean gain.
 _STEEP = 3.0
 # Samples after a step within which the displacement must turn back; samples that are searched after a step.
-_SOON, _AHEAD = 400, 4096
+_TURN_WITHIN, _SEARCHED = 400, 4096
 # Longest time to the next turn of a ring, in usual half periods; the first two turns have no such bound.
-_LATE = 2.5
+_NEXT_TURN = 2.5
 # A ring ends below this part of the range, or below the noise; at most, it lasts this multiple of its visible part.
 _FADED, _LONGEST_RING = 5e-4, 3.0
 # An overshoot without swings ends after this number of half-lives; number of samples whose mean is a level.
-_HALVES, _LEVEL = 8, 8
+_HALF_LIVES, _AVERAGED = 8, 8
 # Least number of samples of a record that shows excursions; largest numbers of samples of a glitch and of a spike;
 # least size of a spike; largest part of a record that can be spikes.
 _SHORTEST, _WIDEST, _WIDEST_SPIKE, _LEAST_SPIKE, _MOST_SPIKES = 20, 5, 3, 0.005, 0.05
@@ -54,14 +54,14 @@ _DIGITS, _USUAL, _STEPS, _STEPS_AT_END = 1.5, 1.5, 1.5, 3.0
 # Least share of its mean gain with which the displacement follows: a small excursion moves an actuator with half of the
 # mean gain, and half of this motion can fall between two samples. Noise hides a motion below this multiple of its
 # deviation. Largest gain next to a turn and at an end, relative to the mean gain.
-_FOLLOWS, _SEEN, _STEEPER, _STEEP_AT_END = 0.2, 2.0, 2.0, 5.0
+_FOLLOWS, _HIDDEN, _STEEP_AT_TURN, _STEEP_AT_END = 0.2, 2.0, 2.0, 5.0
 # Largest lag of the displacement, as a part of a cycle, and the bounds of this lag in samples.
 _LAG, _LAGS = 0.05, (8, 64)
 # Longer excursions, such as a channel that drops out: most samples, largest part of a cycle, least part of the range.
 _LONGEST, _LONGEST_PART, _LEAST_LONG = 200, 0.25, 0.2
 # Fewest new samples a cycle. Jumps of a zero: samples on each side to which a cubic is fitted; least jump, in noise and
 # in residuals of that cubic; most jumps in a record, because a zero jumps rarely.
-FEWEST_NEW, _BESIDE, _DISTINCT, _CLEAR, _MOST_JUMPS = 12, 12, 3.3, 4.0, 3
+FEWEST_NEW, _SIDE_SAMPLES, _NOISES, _RESIDUALS, _MOST_JUMPS = 12, 12, 3.3, 4.0, 3
 # Number of passes (later passes find excursions hidden by others), and of candidates processed at a time.
 _PASSES, _BLOCK = 20, 1 << 14
 
@@ -129,10 +129,10 @@ def _more(places: Sequence[object]) -> str:
 def zero_jumps(record: Record) -> list[tuple[int, float]]:
     """Return jumps of the displacement where the voltage does not jump: the sample after each, and its height [m]."""
     v, y, counted = record.voltage, record.displacement, signals.counting(record)
-    scales, place = _Signals.of(v, y, 0.0), np.arange(2 * _BESIDE) - _BESIDE + 0.5
+    scales, place = _Signals.of(v, y, 0.0), np.arange(2 * _SIDE_SAMPLES) - _SIDE_SAMPLES + 0.5
     if scales is None or not scales.gain or len(record) < place.size:
         return []
-    columns = np.column_stack([np.vander(place / _BESIDE, 4), place > 0])
+    columns = np.column_stack([np.vander(place / _SIDE_SAMPLES, 4), place > 0])
     solve = np.linalg.pinv(columns)
     heights, moved = np.correlate(y, solve[-1], "valid"), np.abs(np.correlate(v, solve[-1], "valid"))
     # The voltage in a gap or before the record is not known.
@@ -140,14 +140,14 @@ def zero_jumps(record: Record) -> list[tuple[int, float]]:
     hidden[:-1] |= np.diff(record.time) > 1.5 * record.sample_time
     moved[sliding_window_view(hidden, place.size).any(axis=1)] = np.inf
     latest = sliding_window_view(np.append(np.full(scales.lag, np.inf), moved), scales.lag + 1).max(axis=1)
-    least = max(_VISIBLE * record.stroke, _DISTINCT * scales.sensor)
+    least = max(_VISIBLE * record.stroke, _NOISES * scales.sensor)
     found = np.abs(heights) > np.maximum(least, _STEEP_AT_END * scales.gain * latest)
     beside = sliding_window_view(y, place.size)[found]
-    left = _CLEAR * np.abs(beside - beside @ (columns @ solve).T).max(axis=1)
+    left = _RESIDUALS * np.abs(beside - beside @ (columns @ solve).T).max(axis=1)
     # A bend of a moving displacement is no jump.
     found[found] = np.abs(heights[found]) > np.maximum(left, np.median(np.abs(np.diff(beside)), axis=1))
     tops = [start + int(np.argmax(np.abs(heights[start:stop]))) for start, stop in runs(found)]
-    return [(top + _BESIDE, float(heights[top])) for top in tops] if len(tops) <= _MOST_JUMPS else []
+    return [(top + _SIDE_SAMPLES, float(heights[top])) for top in tops] if len(tops) <= _MOST_JUMPS else []
 
 
 def voltage_steps(voltage: Array) -> Stretches:
@@ -155,10 +155,10 @@ def voltage_steps(voltage: Array) -> Stretches:
     change, span = np.abs(np.diff(voltage)), float(np.ptp(voltage))
     noise = _SIGMAS * white_noise(voltage)
     steps = []
-    for start, stop in runs(change > max(_PART * _LEAST * span, noise)):
+    for start, stop in runs(change > max(_SAMPLE_PART * _LEAST * span, noise)):
         height = abs(float(voltage[stop] - voltage[start]))
         beside = np.concatenate([change[max(start - _NEAR, 0) : start], change[stop : stop + _NEAR]])
-        large = height > max(_LEAST * span, noise, _TIMES * float(beside.max(initial=0.0)))
+        large = height > max(_LEAST * span, noise, _STEP_RATIO * float(beside.max(initial=0.0)))
         if large and stop - start <= _WIDEST_STEP:
             steps.append((start, stop))
     return steps
@@ -184,9 +184,9 @@ def settled(record: Record, found: Sequence[tuple[int, int, int]]) -> Array:
         return float(np.mean(y[part] - gain * (v[part] - v[at])))
 
     for start, jump, stop in found:
-        low = level(slice(max(start + 1 - _LEVEL, 0), start + 1), start)
+        low = level(slice(max(start + 1 - _AVERAGED, 0), start + 1), start)
         last = min(stop, len(record) - 1)
-        after = slice(stop, stop + _LEVEL) if stop < len(record) else slice(max(stop - 2 * _LEVEL, jump), stop)
+        after = slice(stop, stop + _AVERAGED) if stop < len(record) else slice(max(stop - 2 * _AVERAGED, jump), stop)
         end = level(after, last)
         high = end - gain * float(v[last] - v[jump])
         way = (v[start : jump + 1] - v[start]) / (v[jump] - v[start])
@@ -198,12 +198,12 @@ def settled(record: Record, found: Sequence[tuple[int, int, int]]) -> Array:
 
 def _rings_until(record: Record, start: int, jump: int, end: int) -> int:
     """Return where a ring or overshoot after a step is over, before sample `end`; 0 if there is none."""
-    window = slice(start, min(jump + _AHEAD, end))
+    window = slice(start, min(jump + _SEARCHED, end))
     v, y = record.voltage[window], record.displacement[window]
-    if y.size < _LEVEL:
+    if y.size < _AVERAGED:
         return 0
     noise, stroke = white_noise(record.displacement), record.stroke
-    soon = _SOON + jump - start
+    soon = _TURN_WITHIN + jump - start
     least = max(_SWING * float(np.ptp(y[:soon])), _VISIBLE * stroke, noise_span(y) if noise else 0.0)
     gain = stroke / float(np.ptp(record.voltage))
     turns = _own_turns(v, y, jump - start, least, gain)
@@ -212,9 +212,9 @@ def _rings_until(record: Record, start: int, jump: int, end: int) -> int:
     over = float(turns[-1])
     if len(turns) < 3:
         # Count the samples from the peak until half of the overshoot is gone.
-        rest = (y - gain * v)[turns[-1] : turns[-1] + _SOON]
+        rest = (y - gain * v)[turns[-1] : turns[-1] + _TURN_WITHIN]
         away = np.abs(rest - np.median(rest[rest.size // 2 :]))
-        over += _HALVES * (int(np.argmax(away < 0.5 * away[0])) + 1 if away[0] else 1)
+        over += _HALF_LIVES * (int(np.argmax(away < 0.5 * away[0])) + 1 if away[0] else 1)
     else:
         half, swings = (turns[-1] - turns[0]) / (len(turns) - 1), np.abs(np.diff(y[turns]))
         # The swings decay by the same factor each half period.
@@ -230,7 +230,7 @@ def _own_turns(v: Array, y: Array, jump: int, least: float, gain: float) -> list
     own: list[int] = []
     for last, turn in pairwise([jump, *turns]):
         half = float(np.median(np.diff(own))) if len(own) > 1 else float("inf")
-        if turn - last > _LATE * max(half, 2):
+        if turn - last > _NEXT_TURN * max(half, 2):
             break
         # The displacement must leave the turn by far more than the voltage explains, over some of the samples.
         away, moved = (np.maximum.accumulate(np.abs(signal[turn:] - signal[turn])) for signal in (y, v))
@@ -284,7 +284,7 @@ class _Signals(NamedTuple):
     longest: int
     widest: int = _WIDEST
     way: int = 1
-    steep: float = _STEEPER
+    steep: float = _STEEP_AT_TURN
 
     @classmethod
     def of(cls, v: Array, y: Array, least: float, **options: Any) -> _Signals | None:
@@ -296,7 +296,7 @@ class _Signals(NamedTuple):
         cycle = 2 * len(v) / max(int(np.count_nonzero(np.diff(v > middle))), 1)
         least = max(least * (high - low), _SIGMAS * white_noise(v), _DIGITS * resolution(v)[0])
         lag, longest = int(np.clip(_LAG * cycle, *_LAGS)), int(min(_LONGEST, _LONGEST_PART * cycle))
-        sensor = max(_SEEN * white_noise(y), resolution(y)[0])
+        sensor = max(_HIDDEN * white_noise(y), resolution(y)[0])
         scales = {"gain": stroke / (high - low), "sensor": sensor, "lag": lag, "span": high - low, "longest": longest}
         return cls(v, y, least, **(scales | options))
 

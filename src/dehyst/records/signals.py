@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 # Largest value of white noise, in standard deviations.
 NOISE_PEAK = 4.0
 # Widths of running means. How noise raises a largest error: steps per deviation, number of steps, probability.
-_WIDTHS, _FINE, _LEVELS, _LIKELY = (1, 4, 16, 64, 256), 8, 64, 0.9
+_WIDTHS, _FINE, _LEVELS, _PROBABILITY = (1, 4, 16, 64, 256), 8, 64, 0.9
 # A sine of 50 points a cycle leaves 7e-8 of its stroke in differences of order 6, and 3e-3 in those of order 2.
 _ORDER = 6
 # Number and length of the stretches from which the noise of a long signal is estimated; rows that `sensor_noise` reads.
@@ -27,7 +27,7 @@ _STRETCHES, _STRETCH, _ROWS = 16, 1 << 14, 1 << 17
 QUARTILE = 0.6744897501960817
 # The noise is also estimated by the sample times if time steps vary by this part, or the voltage turns more often than
 # once in this number of samples; fewest windows for that; the second estimate counts if it is smaller by this factor.
-_EVEN, _FEW, _WINDOWS, _SMALLER = 0.01, 25, 16, 1.5
+_UNEVEN, _TURN_SAMPLES, _WINDOWS, _NOISE_RATIO = 0.01, 25, 16, 1.5
 # A repeated signal: largest part of new samples, and least motion of the displacement, in digits.
 _NEW, _DIGITS = 0.75, 3.0
 
@@ -74,7 +74,7 @@ def _raised(sizes: Array, noise: float) -> float:
     # The probability that a sample stays within a level this number of steps above the largest size.
     apart, across = steps[:, None] + steps, 2 * most / noise + steps[:, None] - steps
     all_stay = np.log((_normal(apart) + _normal(across) - 1).clip(1e-300)) @ counts
-    return noise * float(np.interp(log(_LIKELY), all_stay, steps))
+    return noise * float(np.interp(log(_PROBABILITY), all_stay, steps))
 
 
 def _normal(values: Array) -> Array:
@@ -106,7 +106,7 @@ def sensor_noise(time: Array, voltage: Array, displacement: Array) -> float:
     noise, steps = white_noise(displacement), np.diff(time[:_ROWS])
     new = new_samples(voltage, displacement)
     turns = np.count_nonzero(np.diff(np.sign(np.diff(voltage[:_ROWS]))))
-    if new is None and np.std(steps) < _EVEN * np.median(steps) and turns < steps.size / _FEW:
+    if new is None and np.std(steps) < _UNEVEN * np.median(steps) and turns < steps.size / _TURN_SAMPLES:
         return noise
     rows = np.arange(displacement.size)[slice(None) if new is None else new][:_ROWS]
     if rows.size < 5:
@@ -120,7 +120,7 @@ def sensor_noise(time: Array, voltage: Array, displacement: Array) -> float:
     weights = [np.prod([(t[:, 2] - t[:, k]) / (t[:, j] - t[:, k]) for k in beside if k != j], axis=0) for j in beside]
     away = y[:, 2] - sum(weight * y[:, j] for weight, j in zip(weights, beside, strict=True))
     found = float(np.median(np.abs(away) / np.sqrt(1 + np.square(weights).sum(axis=0)))) / QUARTILE
-    return found if new is not None or _SMALLER * found < noise else noise
+    return found if new is not None or _NOISE_RATIO * found < noise else noise
 
 
 def new_samples(voltage: Array, displacement: Array) -> Mask | None:

@@ -44,11 +44,11 @@ from dehyst.records import NOISE_PEAK, Record, beyond_noise, largest, percent, r
 from dehyst.trust.changes import LEARNT, SLOW, Change, Known, find_changes
 
 # With a larger change of gain, or error in % of the stroke, a record is of another actuator, or in other units.
-_ANOTHER = 50.0
+_MISMATCH = 50.0
 # Paths of unchanged stages miss the promise by more than this factor in 1.2 % of cases (`benchmarks/promise.py`).
-_BY_CHANCE = 2.0
+_CHANCE_FACTOR = 2.0
 # Changes that are subtracted from the error.
-_SET_ASIDE = ("zero", *SLOW)
+_SUBTRACTED = ("zero", *SLOW)
 
 
 class Standing(Enum):
@@ -132,7 +132,7 @@ class Recheck(Plotted):
             # Above the goal, a model is as it was if it keeps its promise, or nearly does and nothing has changed.
             unchanged = self.promise is not None and self.promise.largest > allowed
             unchanged = unchanged and all(change.name == "shape" for change in self.changed)
-            as_it_was = self._missed_by <= (_BY_CHANCE if unchanged else 1)
+            as_it_was = self._missed_by <= (_CHANCE_FACTOR if unchanged else 1)
             return Standing.NEVER_MET if as_it_was else Standing.RECALIBRATE
         if self.promise is not None and not self.kept:
             return Standing.WITHIN_GOAL
@@ -158,17 +158,17 @@ class Recheck(Plotted):
         """A sentence on why the record clearly belongs to another actuator; empty if it may belong to the model's."""
         gain = next((change.value for change in self.changed if change.name == "gain"), 0.0)
         reasons = []
-        if 100 * abs(gain) > _ANOTHER:
-            reasons.append(f"the gain differs by {lines.percent(abs(gain), 1.0, goal=_ANOTHER)}")
-        if percent(self.without_noise, self.stroke) > _ANOTHER:
+        if 100 * abs(gain) > _MISMATCH:
+            reasons.append(f"the gain differs by {lines.percent(abs(gain), 1.0, goal=_MISMATCH)}")
+        if percent(self.without_noise, self.stroke) > _MISMATCH:
             reasons.append(
-                f"the largest error is {lines.percent(self.without_noise, self.stroke, goal=_ANOTHER)} of the stroke"
+                f"the largest error is {lines.percent(self.without_noise, self.stroke, goal=_MISMATCH)} of the stroke"
             )
         if not (found := " and ".join(reasons)):
             return ""
         return (
             f"{self.record}: is clearly not a record of the model's actuator, or in other units: {found}, "
-            f"more than {_ANOTHER:g} %; check that model and record belong together, and the scales"
+            f"more than {_MISMATCH:g} %; check that model and record belong together, and the scales"
         )
 
     @property
@@ -189,7 +189,7 @@ class Recheck(Plotted):
     @property
     def advises_update(self) -> bool:
         """Whether an update may learn a change of gain, width or shape that explains the missed promise or goal."""
-        own = [change for change in self.changed if not set(change.parts) <= set(_SET_ASIDE)]
+        own = [change for change in self.changed if not set(change.parts) <= set(_SUBTRACTED)]
         learnable = not self.changed or any(part in LEARNT for change in own[:1] for part in change.parts)
         return learnable and (
             self.standing in (Standing.WITHIN_GOAL, Standing.RECALIBRATE)
@@ -207,7 +207,7 @@ class Recheck(Plotted):
             Standing.DRIFTS: f"No new model is needed; {moved}: let the actuator warm up and rest.",
             Standing.WITHIN_GOAL: f"{learns or 'No new model is needed'}.",
             Standing.NEVER_MET: again
-            if any(part not in _SET_ASIDE for change in self.changed for part in change.parts)
+            if any(part not in _SUBTRACTED for change in self.changed for part in change.parts)
             else "Records of the same kind would give the same error: record more loops, or allow more parts.",
             Standing.RECALIBRATE: again,
             Standing.ANOTHER: "Check that model and record belong together.",
@@ -265,15 +265,15 @@ class StageRecheck:
 
 _GOAL = 1.0
 # A change counts if its effect exceeds this part of the goal.
-_PART = 0.25
+_EFFECT_PART = 0.25
 # Turning points of a record that separates all changes, and how far one goes back, as a part of the range.
-_MANY, _TURN = 20, 0.02
+_TURNS, _TURN_PART = 20, 0.02
 # A coupling has changed if its difference exceeds this value and this multiple of its standard error.
-_COUPLED, _ERRORS = 0.005, 3.0
+_LEAST_CHANGE, _SIGMAS = 0.005, 3.0
 # A record over less than this part of the model's voltages does not show the longest elements. A fitted start is like
 # one after slow loops if their paths to the first turn differ by less than this part of the promise; samples of its
 # error.
-_LITTLE, _KNOWN, _BEGIN = 0.5, 0.5, 5
+_COVERED, _START_PART, _START_SAMPLES = 0.5, 0.5, 5
 
 
 @overload
@@ -327,9 +327,9 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     # The constant is the mean error of complete loops.
     judged = error[begin:] - error[-trace.settled.time.size if begin else 0 :].mean()
     # With as many turns as the recommended excitation has, another record would not show more.
-    many = turning_points(record.voltage, _TURN * float(np.ptp(record.voltage))).size > _MANY
+    many = turning_points(record.voltage, _TURN_PART * float(np.ptp(record.voltage))).size > _TURNS
     own = (origin.largest_error or 0.0) / NOISE_PEAK if promise is None else promise.rms
-    least = _PART * goal / 100 * stroke
+    least = _EFFECT_PART * goal / 100 * stroke
     known = Known(errors.zero, _doubt(actuator, record), own, prepared.noise, cycle, slow, stroke, least)
     unexplained = beyond_noise(judged, prepared.noise)
     return Recheck(
@@ -357,7 +357,7 @@ def _check_stage(stage: Stage, record: Record, goal: float | None) -> StageReche
     coupling, uncertainty = coupling_of(stage, [record])
     rechecks = tuple(check(actuator, stage.alone(record, j), goal=goal) for j, actuator in enumerate(stage.actuators))
     away, changes = coupling - stage.coupling, list[str]()
-    for i, j in np.argwhere((np.abs(away) > _COUPLED) & (np.abs(away) > _ERRORS * uncertainty)).tolist():
+    for i, j in np.argwhere((np.abs(away) > _LEAST_CHANGE) & (np.abs(away) > _SIGMAS * uncertainty)).tolist():
         changes.append(
             f"coupling of {stage.axes[j]} into {stage.axes[i]}: {coupling[i, j]:+.4f} now, "
             f"{stage.coupling[i, j]:+.4f} in the model; identify the stage again"
@@ -390,7 +390,7 @@ def _judged_from(actuator: Actuator, trace: Trace, start: State, promise: Promis
     """
     if trace.settled.time.size == trace.time.size:
         return 0
-    turns = turning_points(trace.voltage, _TURN * float(np.ptp(trace.voltage)))
+    turns = turning_points(trace.voltage, _TURN_PART * float(np.ptp(trace.voltage)))
     turn = int(turns[turns > 0][0])
     model, voltage, time = replace(actuator._before_creep, lag=0.0), trace.voltage[: turn + 1], trace.time[: turn + 1]
     ends = (PossibleStart.named(model, "top"), PossibleStart.named(model, "bottom"))
@@ -401,8 +401,8 @@ def _judged_from(actuator: Actuator, trace: Trace, start: State, promise: Promis
     )
     bound, apart = 0.0 if promise is None else promise.largest, np.abs(trace.residual - trace.residual[turn:].mean())
     # An error of the start is largest at the start, and gone after the turn.
-    of_start = np.median(apart[:_BEGIN]) > bound >= apart[turn:].max()
-    return turn if of_start or min(largest(way - fitted) for way in known) > _KNOWN * bound else 0
+    of_start = np.median(apart[:_START_SAMPLES]) > bound >= apart[turn:].max()
+    return turn if of_start or min(largest(way - fitted) for way in known) > _START_PART * bound else 0
 
 
 def _steadied(trace: Trace) -> tuple[Array, float]:
@@ -426,4 +426,4 @@ def _uncovered(actuator: Actuator, record: Record) -> tuple[str, ...]:
     (low, high), (least, most) = voltages_of(actuator), record.voltage_range
     covered = max((min(most, high) - max(least, low)) / (high - low), 0.0)
     words = f"{record.name}: covers {100 * covered:.0f} % of the model's voltages. Record a loop over the whole range."
-    return (words,) if covered < _LITTLE else ()
+    return (words,) if covered < _COVERED else ()
