@@ -100,7 +100,7 @@ def calibrate(
         demand_own_folder(output, "records", "", force=run.force)
     # A rig of one axis need not accept lists.
     asked: Any = [each if len({*each}) > 1 else each[0] for each in (allowed, steepest)]
-    with _left(output), open_rig(rig, names, limits=asked[0], slew_rate=asked[1]) as instrument:
+    with _noting_records(output), open_rig(rig, names, limits=asked[0], slew_rate=asked[1]) as instrument:
         if len(instrument.axes) != len(every):
             raise RigError(f"{instrument.name}: has several axes; give --axes {','.join(instrument.axes)}")
         for part, wanted, rate in zip(instrument.rigs, allowed, steepest, strict=True):
@@ -125,7 +125,7 @@ def calibrate(
 
 
 @contextmanager
-def _left(output: Path) -> Iterator[None]:
+def _noting_records(output: Path) -> Iterator[None]:
     """Add to the error that ends a calibration where its records are, and whether the same command continues."""
     try:
         yield

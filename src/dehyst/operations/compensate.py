@@ -170,7 +170,7 @@ def _period_of(path: Path, wanted: Array, clock: Mapping[str, Array], warmth: Ar
     from scipy.interpolate import CubicSpline
 
     if warmth is not None:
-        raise ModelError(argument="table", got="a path with temperatures", need="one without: a table has none")
+        raise ModelError(argument="table", got="a path with temperatures", need="one without temperatures")
     if not clock:
         raise RecordError(argument="table", got="no times", need="a time of each sample", hint="give --columns rate=HZ")
     even_rate(path, clock["time_s"])

@@ -110,7 +110,7 @@ def _bounds(
     """Return the limits of each axis; note what is narrower than given."""
     if len(rig.axes) != len(known.axes):
         names = ", ".join(rig.axes)
-        raise RigError(f"{rig.name}: has the axes {names}, the model {', '.join(known.axes)}; give another model")
+        raise RigError(f"{rig.name}: has the axes {names}, the model {', '.join(known.axes)}; give the rig's model")
     bounds, remarks = [], []
     for part, actuator, limit, slew in zip(rig.rigs, known.actuators, allowed, slews, strict=True):
         low, high = voltages_of(actuator)
