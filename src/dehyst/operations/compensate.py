@@ -46,12 +46,12 @@ def compensate(
     model: Path = argument(),
     trajectory: Path = argument(),
     output: Path = output("Write the voltage here (CSV)."),
-    limits: OfAxes = limits_option("Allowed voltages [V]; default: those of the records."),
+    limits: OfAxes = limits_option("Allowed voltages [V]; default: the records'."),
     slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: the model's, or none."),
     zero: float | None = ZERO,
     start: str | Path | None = START,
     home: bool | None = option("Home first; default: if the start matters.", words="--home/--no-home", default=None),
-    home_within: float | None = number("Longest time of homing and way to the path [s].", _homes),
+    home_within: float | None = number("Longest homing, with the way to the path [s].", _homes),
     present: OfAxes = axes_option("Present voltage [V]; default: that of --start, or 0.", "[AXIS=]V"),
     on_time: bool | None = option(
         "Lead by the delay; default: if the actuator lags.", None, _of_path, words="--on-time/--late", default=None
@@ -67,8 +67,8 @@ def compensate(
     """Compute the voltage with which the actuator follows a TRAJECTORY, within limits; the output adds voltage_V.
 
     Jumps and homings are not faster than the model's records. Column phase: 0 homing, 1 way to the path, 2 path. The
-    status is 1 if the voltages miss the path by more than the error of the model, or the promise exceeds 5 % of the
-    stroke; with --table also if a voltage is clamped or the cycle is not settled.
+    status is 1 if the voltages miss the path by more than the model's error, the promise exceeds 5 % of the stroke, or
+    with --table a voltage is clamped or the cycle is not settled.
     """
     if start is not None and home:
         got = f"{start} with --home, after which the state is known"

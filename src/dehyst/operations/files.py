@@ -21,7 +21,7 @@ __all__ = ["AS_FOUND", "PATH", "RECORD", "VOLTAGE", "Columns"]
 AS_COLUMNS = Parsed(Columns)
 _FORM = "As 'time=Time:ms, voltage=Ch1*100, displacement=Sensor:um', or @FILE; see dehyst show --help."
 COLUMNS: Any = option(_FORM, AS_COLUMNS, default=AS_FOUND)
-GAIN: Any = number("Gain of the amplifier; its input, the voltage divided by the gain, becomes a column.")
+GAIN: Any = number("Gain of the amplifier: adds its input voltage as a column.")
 
 
 def columns_in(columns: Columns, table: Table, other: Table | None = None) -> Columns:
