@@ -36,7 +36,7 @@ OUTPUT = Path(__file__).with_suffix(".json")
 PARTS = ("main", "tracking", "measured")
 SPLIT, FIRST_SEED = 4500, 7
 UNTOLD = f"{OURS}, told the voltage only"
-# Largest and RMS error asked of ours, in % of the stroke.
+# Largest and RMS error required of dehyst, in % of the stroke.
 ASKED = {"play": (0.15, 0.05), "creep": (0.25, 0.09), "preisach": (0.5, 0.2), "boucwen": (1.0, 0.4)}
 ASKED_MEASURED = (0.85, 0.22)
 FAILURES = (ValueError, ArithmeticError, RuntimeError)
@@ -44,26 +44,26 @@ FAILURES = (ValueError, ArithmeticError, RuntimeError)
 
 @dataclass(frozen=True)
 class VoltageOnly(AbstractModel):
-    """An actuator that takes its state from the voltage of the lead-in alone, as every baseline does."""
+    """An actuator whose state follows from the voltage of the lead-in alone, as that of every baseline does."""
 
     actuator: Actuator
 
     @property
     def delay(self) -> float:
-        """The actuator's [s]."""
+        """The delay of the actuator [s]."""
         return self.actuator.delay
 
     def simulate(self, voltage: Any, *, time: Any = None, state: Any = None) -> Motion:
-        """As the actuator, from where it starts before this voltage."""
+        """Simulate the actuator from its start before this voltage."""
         return simulated(self.actuator, voltage, time)
 
     def compensate(self, displacement: Any, *, time: Any = None, state: Any = None) -> Motion:
-        """As the actuator."""
+        """Compensate as the actuator."""
         return self.actuator.compensate(displacement, time=time, state=state)
 
 
 def entrants() -> dict:
-    """Return name -> identification; the variant with the voltage only runs on the measured records alone."""
+    """Return name -> identification; the variant that knows only the voltage runs on the measured records alone."""
     known = {
         OURS: lambda records: dehyst.identify(records, structure="auto").actuator,
         f"{OURS}, paper's": lambda records: dehyst.identify(records, structure="maxwell_slip").actuator,
@@ -157,7 +157,7 @@ def worst(row: dict | None) -> tuple[float, float] | None:
 
 
 def held_out(row: dict | None) -> list[tuple[float, float] | None]:
-    """With one constant removed and without."""
+    """Return the errors with a constant removed, and without."""
     errors = [error for error in (row or {}).get("errors", ()) if error["role"] == "validation"]
     return [
         (errors[0][f"largest{way}_percent"], errors[0][f"rms{way}_percent"]) if errors else None

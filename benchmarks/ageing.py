@@ -1,8 +1,8 @@
 """Stages that have aged, checked and updated by a later record: `python benchmarks/ageing.py` writes `ageing.json`.
 
-Each, of a mechanism that no model has, is identified when it is new. Then one to three of gain, loop width, lag, zero
-and creep change. A change is false if stated beyond twice its error from the truth; one of over 2 % of the stroke is
-missed if named neither alone nor together with others.
+Each stage has a mechanism that no model has, and is identified when it is new. Then one to three of gain, loop width,
+lag, zero and creep change. A stated change is false if it differs from the truth by more than twice its stated error. A
+change of over 2 % of the stroke is missed if it is named neither alone nor together with others.
 """
 
 import json
@@ -51,7 +51,7 @@ def relays(rng):
 
 
 def walls(rng):
-    """Return populations of domain walls with pinnings of their own."""
+    """Return populations of domain walls, each with its own pinning."""
     pinning = np.array(Domains.pinning) * rng.uniform(0.5, 1.1, 3)
 
     def play(u, width):
@@ -93,7 +93,7 @@ def identified(name, seed):
 
 
 def truth(stage, aged, excitation, slow):
-    """Return what has changed, and its largest effect [m], by names, along a path without noise."""
+    """Return the changes and their largest effects [m], by name, along a path without noise."""
     voltage, time, half = excitation.voltage, excitation.time, round(RATE * PERIOD / 2)
     new, old = stage.still(voltage, aged), stage.still(voltage)
     gain = np.ptp(new[half:]) / np.ptp(old[half:])
@@ -111,7 +111,7 @@ def truth(stage, aged, excitation, slow):
 
 
 def checked(name, own, aged, kind, seed):
-    """Return what a check states: rows of (name, kind, value, error, truth, whether stated), and what it misses."""
+    """Return the results of a check, (name, kind, value, error, truth, whether stated), and the missed changes."""
     (stage, model), excitation = identified(name, own), LATER[kind]
     record, slow = stage.record(excitation, aged, seed)
     *changes, shape = dehyst.check(model, record).changes
@@ -127,7 +127,7 @@ def checked(name, own, aged, kind, seed):
 
 
 def updated(name, own, aged, kind, seed):
-    """Return largest and RMS errors [% of the stroke] on a random path: of the old model, updated, identified anew."""
+    """Return largest and RMS errors [% of the stroke] on a random path: old, updated and new model."""
     (stage, old), changed = identified(name, own), {"gain": aged["gain"] or 0.05, "width": aged["width"] or 0.2}
     aged = dict.fromkeys(SIZES, 0.0) | changed
     made = dehyst.update(old, stage.record(LATER[kind], aged, seed)[0]).actuator

@@ -51,7 +51,7 @@ def module_of(path: Path) -> str:
 
 
 def imports(tree: ast.AST, deferred: bool = False) -> Iterator[Import]:
-    """Yield what a file imports when it runs: without what only a type checker reads."""
+    """Yield the imports of a file at run time, without those for type checkers only."""
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.Import):
             yield from (Import(alias.name, None, deferred, node.lineno) for alias in node.names)
@@ -65,7 +65,7 @@ def imports(tree: ast.AST, deferred: bool = False) -> Iterator[Import]:
 
 
 def module_graph(modules: Mapping[str, Path], deferred: bool = True) -> dict[str, set[str]]:
-    """Return for each module those that it imports: the file that a statement names, not the packages above it."""
+    """Return the imported modules of each module: the file that a statement names, not the packages above it."""
     known = modules.keys() | {module_of(path) for path in SOURCES.glob("*.pyi")}  # compiled ones too
     graph: dict[str, set[str]] = {}
     for module, path in modules.items():
@@ -77,13 +77,13 @@ def module_graph(modules: Mapping[str, Path], deferred: bool = True) -> dict[str
 
 
 def room_of(module: str) -> str:
-    """Return the room of a module; the private modules are the foundation, and so is the package's own face."""
+    """Return the room of a module; the private modules and the package's `__init__` are the foundation."""
     room = (*module.split("."), "")[1]
     return FOUNDATION if not room or room.startswith("_") else room
 
 
 def room_graph() -> dict[str, set[str]]:
-    """Return for each room those that it imports."""
+    """Return the imported rooms of each room."""
     rooms: dict[str, set[str]] = {FOUNDATION: set()}
     for module, used in module_graph(files()).items():
         room = room_of(module)
@@ -93,7 +93,7 @@ def room_graph() -> dict[str, set[str]]:
 
 
 def below(graph: Mapping[str, set[str]], room: str) -> set[str]:
-    """Return everything that a room reaches."""
+    """Return all rooms that a room imports, directly or through others."""
     return graph[room].union(*(below(graph, used) for used in graph[room]))
 
 
@@ -115,7 +115,7 @@ def floors(graph: Mapping[str, set[str]]) -> list[list[str]]:
 
 
 class Layout:
-    """Where boxes and arrows are: an arrow that passes floors has a narrow column of its own on each of them."""
+    """Positions of boxes and arrows: an arrow that passes floors has its own narrow column on each of them."""
 
     def __init__(self, graph: Mapping[str, set[str]]) -> None:
         levels = floors(graph)
@@ -137,7 +137,7 @@ class Layout:
         return sorted((room, used) for room in graph for used in graph[room])
 
     def _support(self, graph: Mapping[str, set[str]], column: tuple[str, ...]) -> float:
-        """Return the mean place of what a column leads to: fewer arrows cross."""
+        """Return the mean position of the columns to which a column leads: fewer arrows cross."""
         used = [self.centre(room)[0] for room in (sorted(graph[column[0]]) if len(column) == 1 else column[1:])]
         return sum(used) / max(len(used), 1)
 

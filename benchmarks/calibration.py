@@ -15,7 +15,7 @@ from pathlib import Path
 OUTPUT = Path(__file__).parent / "calibration.json"
 SERVE = Path(__file__).parents[1] / "tests" / "support" / "serve_emulator.py"
 DEHYST = Path(sys.executable).parent / "dehyst"
-# Actuator, link, and seconds of the instrument in each second: those that wait for creep are let run faster.
+# Actuator, link, and speed of the instrument's clock: an instrument with creep runs faster.
 CASES = (("play", "pi", 1), ("play", "epics", 1), ("preisach", "pi", 1), ("creep", "pi", 5), ("boucwen", "pi", 1))
 LOCAL = {"EPICS_CA_ADDR_LIST": "127.0.0.1", "EPICS_CA_AUTO_ADDR_LIST": "NO", "EPICS_CAS_INTF_ADDR_LIST": "127.0.0.1"}
 PREFIX = "BENCH"

@@ -1,7 +1,7 @@
-"""Stages of three coupled axes, each of another mechanism that no model is an instance of, identified and predicted.
+"""Stages of three coupled axes, each with another mechanism, which no model has, identified and predicted.
 
-Coupling of 2 to 6 % between all axes, noise, and a held-out record in which the axes move together. The truths set
-aside are of other mechanisms and other seeds. Writes `coupled_axes.json`.
+Coupling of 2 to 6 % between all axes, noise, and a held-out record in which the axes move together. The truths for the
+final test have other mechanisms and other seeds. Writes `coupled_axes.json`.
 """
 
 import argparse
@@ -35,7 +35,7 @@ def strange(*kinds):
     return [partial(truths.VirtualStranger, kind, rate=RATE) for kind in kinds]
 
 
-# The model of no axis can follow the third set: elements of Bouc and Wen do not return to where a loop began.
+# No model can follow the third set: elements of Bouc and Wen do not return to the beginning of a loop.
 SETS = {
     "truths": [partial(own, PlayActuator), partial(own, PreisachActuator), *strange(truths.Relays)],
     "set aside": strange(truths.Domains, truths.StribeckSlip, truths.Relays),
@@ -58,7 +58,7 @@ class VirtualStage:
         self.rng = rng
 
     def play(self, seconds, voltage):
-        """Return the displacements (n, axes) [m] as measured."""
+        """Return the measured displacements (n, axes) [m]."""
         moved = np.column_stack(
             [actuator.play(voltage[:, j], time=seconds, measured=False) for j, actuator in enumerate(self.actuators)]
         )
@@ -66,7 +66,7 @@ class VirtualStage:
 
 
 def records(stage, seed):
-    """One cycle of all axes that is not recorded, the training record, and a held-out one with all axes together."""
+    """Return the training record, after one cycle of all axes, and a held-out record of all axes together."""
     drive = Sampling(FREQUENCY, sample_rate=RATE)
     t = np.arange(0, 2.0, 1 / RATE)
     cycle = 0.5 * (1 - np.cos(np.pi * t))[:, None] * np.array(HIGHEST)
@@ -88,7 +88,7 @@ def _record(stage, seconds, voltage, name):
 
 
 def measure(kinds, seed):
-    """Identify one stage, and each of its axes as if it was alone."""
+    """Identify a stage, and each of its axes alone."""
     stage = VirtualStage(kinds, seed)
     training, held = records(stage, seed)
     began = time.monotonic()

@@ -1,11 +1,11 @@
-"""What is left of creep in a five-minute hold, on truths whose creep has not the form of a model. Writes `creep.json`.
+"""Creep that remains in a five-minute hold, on truths whose creep no model has. Writes `creep.json`.
 
     python benchmarks/creep.py [--seeds N]
 
 Each truth is recorded by README's excitation and by a staircase with holds of a minute, identified, and moved by 60 %
 of its stroke within two seconds, in the open loop, to a displacement that is to be held for five minutes. The creep is
-the growth of the displacement in these five minutes at a constant voltage; what is left is that with the voltages of
-the model, as a part of the creep.
+the growth of the displacement in these five minutes at a constant voltage; the remaining creep is the growth with the
+voltages of the model, relative to it.
 """
 
 import argparse
@@ -29,8 +29,8 @@ PERIOD, RISE, HOLD, SHARE = 0.05, 2.0, 300.0, 0.6
 class LaggingSwitches:
     """Relays of the voltage, each of which moves its domain with a delay of its own.
 
-    The delays are log-uniform from 10 ms to 10 000 s, so that what switches creeps by a logarithm of time, and the
-    reversible part does not.
+    The delays are log-uniform from 10 ms to 10 000 s, so that the switching part creeps with the logarithm of time, and
+    the reversible part does not creep.
     """
 
     reversible = 0.6
@@ -60,8 +60,8 @@ class LaggingSwitches:
 class RelaxingPreload:
     """Asymmetric plays of the voltage that push against a preload of rubber, whose force relaxes.
 
-    The rubber stiffens with its strain e: its force is a curve of e less what has relaxed of it, by ten Maxwell
-    branches of ``e + e^2``, 50 ms to 2000 s.
+    The rubber stiffens with its strain e: its force is a curve of e minus the relaxed force of ten Maxwell branches of
+    ``e + e^2``, 50 ms to 2000 s.
     """
 
     def __init__(self, rng, count=60):
@@ -93,8 +93,8 @@ class RelaxingPreload:
 class ThermalRelays:
     """Relays that switch by thermal activation over barriers: faster loops are wider, and a hold creeps.
 
-    A relay follows its side at the rate ``exp((|field| - barrier) / width)`` per second, of a field that its own bias
-    shifts; the barriers have two peaks.
+    A relay follows its side at the rate ``exp((|field| - barrier) / width)`` per second, of a field that the relay's
+    bias shifts; the barriers have two peaks.
     """
 
     reversible = 0.7
@@ -152,7 +152,7 @@ def recorded(stage, rng):
 
 
 def held(stage, actuator, last):
-    """Return the creep of a five-minute hold [m], at a constant voltage, and the one with a model's voltages (n,)."""
+    """Return the creep of a five-minute hold [m] at a constant voltage, and the creep with a model's voltages (n,)."""
     (start, _), (low, high) = state_after(actuator, last), np.quantile(last.displacement, [0.002, 0.998])
     begin = float(last.displacement[-20:].mean())
     s = np.arange(1, round(RISE / PERIOD) + 1) / round(RISE / PERIOD)

@@ -33,14 +33,14 @@ from rehearsal import (
 from dehyst._io import write_atomically
 
 HERE = Path(__file__).resolve().parent
-# Loops a second; slow ones are far from 0 V when Ctrl-C comes. By its time the device knows its place in a wave.
+# Loops per second: slow loops are far from 0 V at Ctrl-C. At emulator speed 1, its place in a wave is known.
 _OPTIONS, _SLOW = ("--frequency", "5"), ("--frequency", "0.2")
 _HURRIED, _TRUE = ("--speed", "20"), ("--speed", "1")
 
 
 @dataclass(frozen=True)
 class Case:
-    """A fault: its name, what happens in words, and how it is rehearsed in an empty folder."""
+    """A fault: its name, its description, and its rehearsal in an empty folder."""
 
     name: str
     words: str
@@ -85,7 +85,7 @@ def taken(folder: Path) -> Outcome:
 
 
 def left(*commands: str, options: tuple[str, ...] = (), act: Act | None = None) -> Callable[[Path], Outcome]:
-    """Return a rehearsal with a controller left in this state; it drops the connection unless stopped."""
+    """Return a rehearsal with a controller in a state by `commands`; without an `act`, it drops the connection."""
 
     def run(folder: Path) -> Outcome:
         with Served(*_TRUE, *(() if act else ("--fault", "drop"))) as served:
@@ -186,11 +186,11 @@ def as_dict(case: Case, found: Outcome) -> dict:
 
 
 def main() -> None:
-    # A process in the background may ignore these signals, and its children then would too.
+    # A process in the background may ignore these signals, and so would its children.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
     chosen = [case for case in CASES if len(sys.argv) == 1 or case.name in sys.argv[1:]]
-    # Most of the time is spent waiting for answers that do not come.
+    # The rehearsals mostly wait for answers that do not come.
     with ThreadPoolExecutor(2) as pool:
         found = list(pool.map(rehearse, chosen))
     for case, outcome in zip(chosen, found, strict=True):

@@ -20,7 +20,7 @@ STYLE = {
     "axes.linewidth": 0.7,
     "legend.frameon": False,
 }
-# The enlarged piece of the demo: its middle and half its width, as parts of the stroke.
+# The enlarged part of the demo: its middle and half width, as parts of the stroke.
 PIECE = (0.5, 0.04)
 
 
@@ -34,7 +34,7 @@ def saved(target: Path, size: tuple[float, float], draw, columns: int, **options
 
 
 def draw_demo(left: Axes, right: Axes) -> None:
-    """Draw what is reached over what is wanted, with a piece enlarged, and the error in time."""
+    """Draw the reached over the wanted displacement, with an enlarged part, and the error in time."""
     _, _, path = demo.journey()
     curves = (path["linear_um"], BEFORE, "straight scale factor"), (path["compensated_um"], AFTER, "dehyst")
     low, span = (wanted := path["wanted_um"]).min(), np.ptp(wanted)

@@ -1,8 +1,8 @@
-"""How long a step takes: of Python's `Compensator.step`, of the exported C, and of a run per sample; N = 10, 21 knots.
+"""Time of a step of Python's `Compensator.step`, of the exported C, and of a run per sample; N = 10, 21 knots.
 
-Ratios are to `numpy.interp` per sample on the same path in the same run. Two paths: one reverses at every step, with
-branches of random lengths; one is swept slowly. A clock around single steps also measures
-whatever else the machine does: its own cost is measured beside it. Writes `latency.json`.
+Ratios are to `numpy.interp` per sample on the same path in the same run. Two paths: the first reverses at every step,
+with branches of random lengths; the second is swept slowly. A clock around single steps also measures other work of the
+machine: the time of the clock alone is measured too. Writes `latency.json`.
 """
 
 import json
@@ -71,7 +71,7 @@ def in_python(model: Actuator, path: np.ndarray) -> dict[str, float]:
 
 
 def in_c(model: Actuator) -> dict[str, dict[str, float]]:
-    """Of the exported files, by the system's compiler; nanoseconds."""
+    """Time [ns] of a step of the exported files, built by the system's compiler."""
     with tempfile.TemporaryDirectory() as folder:
         where = export(Compensator(model, (-10.0, 10.0), period=1e-3), Path(folder) / "c")
         sources = sorted(path for path in where.glob("*.c") if path.name != "check.c")

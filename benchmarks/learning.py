@@ -1,4 +1,4 @@
-"""Paths that are repeated, sensors that are fed back, and sensors that lie. Writes `learning.json`.
+"""Repeated paths, feedback of sensors, and faulty sensors. Writes `learning.json`.
 
 Four plants of mechanisms that dehyst does not have, each identified from its records: plays of the voltage behind a
 cubic map, with creep (1.2 % a decade), a resonance (800 Hz, quality 25), thresholds that grow with speed, or noise of
@@ -26,7 +26,7 @@ PERIOD, SAMPLES, CYCLES = 1e-4, 500, 30
 HIGHEST, STROKE = 100.0, 13e-6
 LIMITS = (-10.0, 110.0)
 PLANTS = ("creep", "resonance", "rate", "noise")
-# The cycle in which a sensor begins to lie, and cycles in all.
+# The cycle in which a sensor becomes faulty, and the number of all cycles.
 LIES_FROM, LYING = 4, 16
 
 
@@ -57,7 +57,7 @@ class Plant:
             self.creeping += (1 - np.exp(-period / np.geomspace(0.05, 50, 4))) * (y - self.creeping)
             y += 0.012 * self.creeping.sum()
         if self.kind == "resonance":
-            # The swing is the sum of decaying oscillations, each begun by a change of the pushed displacement.
+            # The ringing is the sum of decaying oscillations; each begins with a change of the pushed displacement.
             self.swing += (y - getattr(self, "pushed", 0.0)) * complex(1, self.pole.real / self.pole.imag)
             self.pushed, self.swing = y, self.swing * np.exp(self.pole * period)
             y -= self.swing.real
@@ -73,7 +73,7 @@ class Plant:
 
 
 def records(kind: str, seed: int) -> list[dehyst.Record]:
-    """Falling tops and random turns, slowly; fast sines if the plant swings."""
+    """Slow branches with falling tops and random turns; fast sines if the plant has a resonance."""
     rng, plant = np.random.default_rng(seed + 100), Plant(kind, seed)
     turns = [0, 100, 0, 85, 10, 70, 20, 60, 30, 50, *(100 * rng.random(24)), 100, 0]
     slow = np.concatenate(
@@ -132,7 +132,7 @@ class Bench:
         return np.array(errors), seen
 
     def fed_back(self, cycles: int, sensor=None) -> tuple[np.ndarray, int | None]:
-        """Return the same of a feedback."""
+        """Return the same for a feedback."""
         feedback, errors, seen = dehyst.Feedback(self.loop), [], None
         said, told = None, []
         for k in range(cycles):
@@ -149,7 +149,7 @@ class Bench:
 
 
 def lies(rng: np.random.Generator) -> dict:
-    """Twenty-seven sensors: a cycle (n,) [m] that was measured, and its number, to what is said."""
+    """Twenty-seven faulty sensors: functions from the measured cycle (n,) [m] and its number to the reading."""
     middle = 0.5 * STROKE
 
     def noise(y: np.ndarray) -> np.ndarray:
@@ -208,7 +208,7 @@ def tracked(kind: str, model: dehyst.Actuator, seed: int) -> dict:
 
 
 def lied_to(model: dehyst.Actuator, seed: int) -> dict[str, dict]:
-    """Largest error a cycle after a lie is seen, of the frozen one; lies that are not seen: over all cycles."""
+    """Return the largest errors after a fault is found, or else of all cycles, over those of the compensator alone."""
     path, found = triangle(), {}
     frozen = np.abs(Bench("resonance", model, path, seed).frozen(LYING)).max(axis=1)
     for name in lies(np.random.default_rng(seed)):
@@ -217,7 +217,7 @@ def lied_to(model: dehyst.Actuator, seed: int) -> dict[str, dict]:
             sensor = lies(np.random.default_rng(seed))[name]
             errors, seen = getattr(Bench("resonance", model, path, seed), how)(LYING, sensor)
             largest = np.abs(errors).max(axis=1)
-            # The correction leaves in the cycle after the one that was judged.
+            # The correction ends in the cycle after the one that was judged.
             after = slice(LIES_FROM if seen is None else min(seen + 2, LYING - 1), None)
             row[how] = {"seen_after": None if seen is None else seen - LIES_FROM + 1}
             row[how]["of_frozen"] = float((largest[after] / frozen[after]).max())
@@ -250,7 +250,7 @@ def stable(seed: int) -> dict:
 
 
 def settled(model, resonance, period: float, preview: bool, every: int, late: int) -> float:
-    """Return how much of an error is left in the end, with a reading `every` so many periods, `late` by a period."""
+    """Return the share of an error that remains at last; a reading comes each `every` periods, `late` periods late."""
     (frequency, quality), said = resonance, [0.51 * STROKE] * (late + 1)
     loop = dehyst.Compensator(model, LIMITS, period=period, preview=preview, state=turned(model, 0.5 * STROKE))
     feedback = dehyst.Feedback(loop)

@@ -48,7 +48,7 @@ def medians(cases: list[dict]) -> dict[str, tuple[float, float]]:
     found = {}
     for name in dict.fromkeys(name for case in scored for name in case["methods"]):
         rows = [case["methods"][name] for case in scored if "rms" in case["methods"].get(name, {})]
-        # A model that fails on many records has no median worth its name.
+        # The median of a model that fails on many records means nothing.
         if 2 * len(rows) > len(scored):
             key = {"auto": "dehyst", "plain": "dehyst, paper's"}.get(name, name)
             found[key] = median(row["largest"] for row in rows), median(row["rms"] for row in rows)
@@ -210,7 +210,7 @@ def status(row: dict) -> str:
 
 
 def voltage(row: dict) -> str:
-    """Return what happened to the voltage, as the command or else the emulator reports it."""
+    """Return the outcome for the voltage, as reported by the command or else by the emulator."""
     put, notes = row["put_out"], " ".join(row["said"])
     if put is None:
         return "nothing was sent"

@@ -1,10 +1,10 @@
 """How often the promise of a model is kept, and how sharp it is. Writes `promise.json`.
 
-Actuators by mechanisms that are no instance of the model are recorded, identified, and made to follow paths of five
-kinds in the open loop, after a homing. A promise is kept if the largest error of the path, less its mean, is not above
-it; where the records leave open who lags, the error is less a constant delay, too. It is sharp if it is not much larger
-than the error that was reached. Beside it is the error from the first sample of the path, as of a sensor that is zeroed
-there: it is kept if it is not above the promise and the promised offset.
+Actuators with mechanisms that the model does not have are recorded and identified, and follow paths of five kinds in
+the open loop, after a homing. A promise is kept if the largest error of the path, without its mean, is not above it. If
+the records do not show whether actuator or sensor lags, a constant delay is subtracted too. It is sharp if it is not
+much larger than the measured error. The second result is the error relative to the first sample of the path, as of a
+sensor zeroed there: it must not exceed the promise plus the promised offset.
 
     python benchmarks/promise.py [found] [made] [--jobs N] [--rows FOLDER]
 
@@ -43,7 +43,7 @@ CONDITIONS = ("clean", "noise 0.3 %", "drift 2 %", "10 bit", "sensor filter", "u
 KINDS = ("one sine", "triangles", "tops", "curves", "growing", "random", "tops and random", "staircase", "speeds")
 SHARE = 0.9
 PARTS = {"found": {**TRUTHS, **MORE, **UNSEEN, **FRESH}, "made": UNSPENT}
-# Others, and the recommended excitation as `dehyst excite` samples it by default.
+# Other protocols, and the recommended excitation as `dehyst excite` samples it by default.
 DRIVE, FINE = Sampling(1.0, sample_rate=200.0), Sampling(1.0, sample_rate=1000.0)
 
 
@@ -225,7 +225,7 @@ def summary(rows, by):
 
 
 def jobs_of(truths, seed):
-    """Return two conditions of the recommended excitation for each truth, and one of others, by turns."""
+    """Return for each truth two conditions of the recommended excitation, and one of every second other protocol."""
     jobs = []
     for i, truth in enumerate(truths):
         jobs += [(truth, "recommended", CONDITIONS[(2 * i + 3 * k + seed) % 6], seed) for k in range(2)]
@@ -236,7 +236,7 @@ def jobs_of(truths, seed):
 
 
 def measured(part, seed, jobs):
-    """Return the rows of a part, and what `promise.json` holds of it."""
+    """Return the rows of a part, and its entry in `promise.json`."""
     truths, rows = [*PARTS[part]], []
     with ProcessPoolExecutor(jobs) as pool:
         for found in pool.map(case, jobs_of(truths, seed)):
@@ -246,7 +246,7 @@ def measured(part, seed, jobs):
 
 
 def tables_of(rows, part, seed):
-    """Return what `promise.json` holds of the rows of a part."""
+    """Return the entry of `promise.json` for the rows of a part."""
     good = [row for row in rows if "largest" in row]
     tables = {by or "all": summary(good, by) for by in ("", "truth", "protocol", "condition", "path")}
     for by, table in tables.items():
@@ -256,7 +256,7 @@ def tables_of(rows, part, seed):
 
 
 def asked_for(rows):
-    """Return the factors of the largest and of the RMS error that `SHARE` of the rows ask for."""
+    """Return the factors of the largest and of the RMS error that suffice for `SHARE` of the rows."""
     found = {}
     for key, factor in (("largest", LARGEST), ("rms", RMS)):
         found[key] = factor * float(np.quantile([row[key] / row[f"promised_{key}"] for row in rows], SHARE))

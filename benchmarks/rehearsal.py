@@ -17,7 +17,7 @@ from dehyst import DehystError, read
 
 SERVE = (sys.executable, str(Path(__file__).parents[1] / "tests" / "support" / "serve_emulator.py"))
 DEHYST = (sys.executable, "-c", "from dehyst.cli import main; main(prog_name='dehyst')")
-# Seconds after which a command hangs, on however busy a machine.
+# Seconds after which a command counts as hanging, also on a busy machine.
 _PATIENCE = 600.0
 _PROGRESS = re.compile(r"dehyst: [a-z0-9-]+: (begins|done|failed)\b")
 _COUNTED = re.compile(r", ([\d ]+) samples")
@@ -44,9 +44,9 @@ class PutOut:
 class Outcome:
     """The outcome of a command.
 
-    `said` is what stands on standard error, without progress; `seconds` it took from the fault on, or from its start
-    where there is nothing else to count from; `came` are samples that it says came, or of a killed one those that
-    it had written by then, None if nobody knows; `on_disk` those read from its folder; `left` its other files.
+    `said`: its standard error without progress. `seconds`: time from the fault to its end, or from its start if there
+    is no time of a fault. `came`: number of samples that it reports, or that a killed command had written; None if
+    unknown. `on_disk`: number of samples in its folder; `left`: its other files.
     """
 
     said: list[str]
@@ -60,7 +60,7 @@ class Outcome:
 
 
 class Served:
-    """The emulator on any free port; at its end it reports what it has put out."""
+    """The emulator on any free port; at its end it reports its output."""
 
     def __init__(self, *options: str) -> None:
         command = [*SERVE, "--port", "0", *options]
@@ -81,11 +81,11 @@ class Served:
 
     @property
     def struck(self) -> float | None:
-        """When the fault came [s of time.monotonic]."""
+        """The time of the fault [s of time.monotonic]."""
         return next((at for at, line in self.lines if line.startswith("fault: ")), None)
 
     def end(self) -> PutOut:
-        """Let it end, and return its report."""
+        """End the emulator, and return its report."""
         if self._process.poll() is None:
             self._process.terminate()
         self._process.wait(_PATIENCE)
@@ -103,14 +103,14 @@ class Served:
 
 @dataclass(frozen=True)
 class Act:
-    """Something done to the command while it runs: `do(process)` as soon as `when(folder)`."""
+    """An action on the command while it runs: `do(process)` as soon as `when(folder)` is true."""
 
     do: Callable[[subprocess.Popen], None]
     when: Callable[[Path], bool]
 
 
 def recording(folder: Path, size: int = 40_000) -> bool:
-    """Whether a record is in the midst of being made, with its last voltage above 80 V."""
+    """Whether a record is being written, with its last voltage above 80 V."""
     with contextlib.suppress(OSError, IndexError, ValueError):
         begun = [path for path in (folder / "records").glob("*.csv") if path.stat().st_size > size]
         return any(float(path.read_bytes()[-200:].split(b"\n")[-2].split(b",")[1]) > 80 for path in begun)
@@ -139,7 +139,7 @@ def calibrate(
 ) -> Outcome:
     """Run `dehyst calibrate` to its end.
 
-    `largest_file` [bytes] makes a full disk of any; `deaf` closes the pipe that it speaks into, once it has begun.
+    `largest_file` [bytes] imitates a full disk; `deaf` closes the pipe of its output after its start.
     """
     python, flag, program = DEHYST
     if largest_file is not None:
@@ -186,7 +186,7 @@ def _outcome(lines: list[str], status: int, seconds: float, folder: Path) -> Out
 
 
 def _on_disk(folder: Path) -> tuple[int, list[str]]:
-    """Count the readable samples in a folder, also those set aside or of killed processes; name files without any."""
+    """Count the readable samples in a folder, also in moved files and of killed processes; name files without any."""
     found, left = 0, []
     for path in sorted(path for path in (folder / "records").rglob("*") if path.is_file()):
         try:
@@ -198,7 +198,7 @@ def _on_disk(folder: Path) -> tuple[int, list[str]]:
 
 @contextlib.contextmanager
 def web_server() -> Iterator[str]:
-    """Something that is no controller."""
+    """Serve something that is no controller."""
 
     class Quiet(BaseHTTPRequestHandler):
         def log_message(self, *_: object) -> None:
@@ -215,7 +215,7 @@ def web_server() -> Iterator[str]:
 
 @contextlib.contextmanager
 def client_of(address: str) -> Iterator[None]:
-    """Somebody else, connected first."""
+    """Another client, connected first."""
     host, port = address.removeprefix("pi://").split(":")
     with socket.create_connection((host, int(port))) as link:
         link.sendall(b"*IDN?\n")
@@ -224,7 +224,7 @@ def client_of(address: str) -> Iterator[None]:
 
 
 def spoken_to(address: str, *commands: str) -> None:
-    """Let somebody else leave the controller in another state."""
+    """Let another client leave the controller in another state."""
     host, port = address.removeprefix("pi://").split(":")
     with socket.create_connection((host, int(port))) as link:
         link.sendall("".join(f"{command}\n" for command in (*commands, "ERR?")).encode())

@@ -1,7 +1,7 @@
-"""How long a record may be: seconds and memory of `dehyst.identify` for 1e5, 1e6 and 1e7 samples.
+"""Time and memory of `dehyst.identify` for records of 1e5, 1e6 and 1e7 samples.
 
 Maxwell-slip, and the dictionary for an actuator with a transformer and creep. Each size runs in a process of its own,
-whose peak memory counts above what the imports took: the record is in it.
+whose peak memory counts without that of the imports; it includes the record.
 
 And the instructions of the steps of an exported compensator of ten elements, plain and with all parts, on a Cortex-M4F
 that QEMU emulates. `size.py firmware` measures that alone.
@@ -53,7 +53,7 @@ def actuator(wide: bool) -> dehyst.Actuator:
 
 
 def record(samples: int, wide: bool) -> dehyst.Record:
-    """Descending tops of a known actuator, noise on the sensor; made in pieces, so that its making takes no room."""
+    """Descending tops of a known actuator, noise on the sensor; made in pieces, which need little memory."""
     model = actuator(wide)
     turns = np.concatenate([[1, 0, 1], *([top, 0] for top in np.linspace(0.9, 0.2, 8)), [1, 0, 1, 0]])
     branch = samples // (turns.size - 1)
@@ -61,7 +61,7 @@ def record(samples: int, wide: bool) -> dehyst.Record:
     voltage, displacement = np.empty(n), np.empty(n)
     rng = np.random.default_rng(1)
     shape = 0.5 - 0.5 * np.cos(np.pi * np.arange(branch + 1) / branch)
-    # The longer the record, the slower: creep has the same share in all.
+    # A longer record is slower: creep has the same share in all records.
     step = 40.0 / n if wide else 1e-4
     for k in range(turns.size - 1):
         span = slice(k * branch, (k + 1) * branch)
@@ -124,7 +124,7 @@ def small(wide: bool) -> dehyst.Compensator:
 
 
 def steps() -> list[dict[str, object]]:
-    """Instructions of a step in floats on an emulated Cortex-M4F: in the middle, and the most of clamped ones."""
+    """Instructions of a step in floats on an emulated Cortex-M4F: median without clamping, largest with it."""
     found: list[dict[str, object]] = []
     for structure in ("plain", "wide"):
         compensator = small(structure == "wide")
@@ -142,13 +142,13 @@ def steps() -> list[dict[str, object]]:
 
 
 def keep(section: str, found: object) -> None:
-    """Write one section, the other as it was."""
+    """Write one section, and leave the other unchanged."""
     data = json.loads(OUTPUT.read_text()) if OUTPUT.exists() else {}
     OUTPUT.write_text(json.dumps({**data, section: found}, indent=1) + "\n")
 
 
 def main() -> None:
-    """Measure all, or the firmware alone, or the one given as an argument with its structure."""
+    """Measure all, or the firmware alone, or the size and structure that are given as arguments."""
     if len(sys.argv) == 3:
         print(json.dumps(measure(int(sys.argv[1]), sys.argv[2])))
         return

@@ -3,8 +3,8 @@
 Compensate and simulate, on the stack of reversals and on clipped elements, for N = 10, 100 and 1000 and three paths:
 slow (swept loops of falling height), noisy (the same with sensor noise: every other sample reverses) and random
 (uniformly distributed samples); beside them the same elements with a transformer and 8 branches of creep. On the slow
-path other parts of the wider class too: 20 graded elements of 8 segments, and a mass; time is even. Repeats are
-interleaved and the least time of the processor counts. Writes `speed.json`.
+path, other parts of the wider class are timed too: 20 graded elements of 8 segments, and a mass; time is even. Repeats
+alternate, and the least processor time counts. Writes `speed.json`.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Identify actuators of other makers from records of other makers, and track with what comes out.
+"""Identify actuators of other mechanisms from records of other kinds, and track paths with the models.
 
 Truths by mechanisms that no model has (`strangers/truths.py`), protocols, disturbances: each case is identified by
 dehyst (structure selected, and the paper's), by published rivals and by a constant ratio; each compensates a path that
@@ -10,7 +10,7 @@ and failures without a warning. Writes `strangers.json`.
 
 import os
 
-# Before NumPy loads its BLAS, and for every process that is started.
+# These variables must be set before NumPy loads its BLAS, also in every child process.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from strangers.command import main

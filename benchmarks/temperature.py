@@ -1,10 +1,10 @@
 """Records at three temperatures, simulated at two between and one beyond. Writes `temperature.json`.
 
-Actuators by mechanisms that are no instance of the model; their gain changes by -0.25 % a kelvin, and they expand by
-8 nm a kelvin. "Curved": the gain has a quadratic part too, of 20 ppm a kelvin squared, and the loop becomes wider by
-0.5 % a kelvin, which no part of the model describes. Each record warms by 1 K. Compared: the model with the channel of
-temperature, without it, and one of records at 20 degrees Celsius, simulated there; and the promise for each path, with
-its temperature and without.
+Actuators with mechanisms that the model does not have; their gain changes by -0.25 % per kelvin, and they expand by 8
+nm per kelvin. "Curved": the gain has a quadratic part too, of 20 ppm a kelvin squared, and the loop becomes wider by
+0.5 % a kelvin, which no part of the model describes. Each record warms by 1 K. Compared are a model with the
+temperature channel, a model without it, and a model of records at 20 degrees Celsius at that temperature; and the
+promise for each path with and without its temperature.
 """
 
 import json
@@ -46,7 +46,7 @@ def record(truth, first: float, last: float, seed: int, *, channel: bool = True,
 
 
 def missed(actuator: dehyst.Actuator, measured: Record, temperature=None) -> float:
-    """Return the largest error [% of the stroke] after the first two loops, its mean aside."""
+    """Return the largest error [% of the stroke] after the first two loops, without its mean."""
     options = {"temperature": temperature} if temperature is not None else {}
     options |= {"time": measured.time}
     error = (measured.displacement - actuator.simulate(measured.voltage, **options).displacement)[800:]
