@@ -142,7 +142,7 @@ def _append_checks(path: Path, before: bytes, checks: Mapping[str, Recheck]) -> 
 
 
 def _row(now: str, axis: str, check: Recheck) -> list[str]:
-    """Return a check by column; a number that is not known is empty."""
+    """Return the cells of a check; the cell of an unknown number is empty."""
     found, promise = (check.without_noise, check.rms_without_noise), check.promise
     bounds = () if promise is None else (promise.largest, promise.rms)
     errors, promised = ([f"{percent(part, check.stroke):.4g}" for part in parts] for parts in (found, bounds))

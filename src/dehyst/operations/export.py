@@ -43,7 +43,7 @@ def export(
         click.Choice(["double", "float"]),
         default="double",
     ),
-    limits: OfAxes = limits_option("Voltages allowed [V]; default: those of the records.", _of_loop),
+    limits: OfAxes = limits_option("Allowed voltages [V]; default: those of the records.", _of_loop),
     slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: the model's, or none.", _of_loop),
     period: float | None = option("Time between steps [s]; a model that depends on time needs it.", NUMBER),
     preview: bool = flag("Compensate delay and inertia; displacements are needed in advance.", _of_loop),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import click
 
-# Under each heading the commands: the module of this package that has it under its name, and its purpose.
+# The commands under each heading: the module of this package that has the command, and its purpose.
 JOURNEY: dict[str, dict[str, tuple[str, str]]] = {
     "Try it": {
         "demo": ("demo", "All steps on a virtual actuator"),

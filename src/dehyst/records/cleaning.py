@@ -70,7 +70,7 @@ Stretches = list[tuple[int, int]]
 
 
 class Cleaned(NamedTuple):
-    """A record without its glitches, transients, spikes and repeats; the stretches of glitches; what was done."""
+    """A record without its glitches, transients, spikes and repeats; the stretches of glitches; sentences."""
 
     record: Record
     glitches: Stretches

@@ -99,7 +99,7 @@ def split(text: str) -> tuple[str, str, str, bool]:
 
 
 class Entry(NamedTuple):
-    """A column as a text selects it: ``NAME:UNIT*SCALE?``; a name that is empty selects by the usual names."""
+    """A column that a text selects by ``NAME:UNIT*SCALE?``; an empty name stands for the usual names."""
 
     name: str
     unit: str = ""
@@ -138,7 +138,7 @@ class Columns:
     decimal : str, optional
         "point" or "comma": the decimal sign of a file whose numbers do not show it.
     axes : mapping
-        For several axes, the name of each is a key, as in ``x=vx_V:x_um``: with the columns VOLTAGE:DISPLACEMENT for a
+        For several axes, the name of each is a key, as in ``x=vx_V:x_um``; its value is VOLTAGE:DISPLACEMENT for a
         record, DISPLACEMENT for a path.
 
     Raises

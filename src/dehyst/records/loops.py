@@ -32,7 +32,8 @@ LEAST_STROKE = 1e-15
 # Fringes: least number in a stroke; least size, as a part of the range; part of a branch in which they are counted;
 # kurtosis of noise; correlation of a displacement that follows the voltage.
 _FRINGES, _FRINGE, _INSIDE, _KURTOSIS, _FOLLOWS = 2.2, 0.3, 0.9, 1.65, 0.5
-# No hysteresis: largest residual in strokes, in widths by a lag; part of a branch after its turn; spread of branches.
+# No hysteresis: largest residual, as a part of the stroke, and of the width that a lag gives a loop; part of a branch
+# that is left out after its turn; least difference of branch sizes, as a part of the largest.
 _STRAIGHT, _ROUND, _TURNS, _VARIES = 5e-4, 0.04, 0.3, 0.2
 # A plateau: least part of the voltage range; least slope before it; largest deviation in strokes, and slope, on it.
 _PLATEAU, _SLOPE, _FLAT, _CREEPS = 0.04, 0.3, 5e-4, 0.03

@@ -112,7 +112,7 @@ class Record(Plotted):
         same instant. "sample": it is held until the next sample, and the displacement is read at the end of that time.
     measured : (n,) array_like of bool, optional
         Whether the displacement is known at each sample; default: at all; if most of `displacement` is NaN and at least
-        20 samples are not, at the latter. Elsewhere straight lines over time replace NaN as placeholders: no fit and no
+        20 samples are not, only at those. Elsewhere straight lines over time replace NaN as placeholders: no fit and no
         error counts them. Only a record of one axis may have it.
 
     Raises
@@ -146,7 +146,7 @@ class Record(Plotted):
         arrays |= {channel.name: channel.values for channel in self.others}
         if len({len(values) for values in arrays.values()}) > 1:
             got = ", ".join(f"{column} {len(values)}" for column, values in arrays.items())
-            raise self._error(f"columns differ in length ({got}); give one value each per sample")
+            raise self._error(f"columns differ in length ({got}); give one value per sample in each")
         if len(self) < 2:
             raise self._error(f"{counted(len(self), 'sample')}, at least 2 are needed; check the range of samples")
         choice(self.hold, "hold", _HOLDS, error=RecordError)

@@ -100,8 +100,8 @@ class Recording:
         RecordError
             If the columns are not of one length, one of `others` is missing, or the recording is closed.
         FileFormatError
-            If not all samples can be written, because the disk is full or the file was removed: those that are written
-            stay, and no later ones are added, because of the gap.
+            If samples cannot be written, because the disk is full or the file was removed. Samples that are written
+            stay; later ones are refused, because of the gap.
         """
         if self._stream.closed:
             raise RecordError(f"{self.path}: this recording is closed; begin another")

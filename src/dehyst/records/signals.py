@@ -143,7 +143,7 @@ def new_samples(voltage: Array, displacement: Array) -> Mask | None:
 
 
 def noise_span(values: Array) -> float:
-    """Return the range of the white noise on a signal from peak to peak, with some margin; in its unit."""
+    """Return the peak-to-peak range of the white noise on a signal, with some margin; in its unit."""
     # White noise spans 2 sqrt(2 ln n) deviations: a long record exceeds 6 of them repeatedly.
     return max(6.0, 2.2 * sqrt(2.0 * log(len(values)))) * white_noise(values)
 

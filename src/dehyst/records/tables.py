@@ -303,7 +303,7 @@ def _assigned(table: Table, wanted: Sequence[str], used: Sequence[Column]) -> di
 
 
 def _unlikeliness(column: Column, quantity: str) -> int:
-    """Return how little the name and the unit of a column are those of a quantity."""
+    """Return a number that is the larger, the less the name and the unit of a column fit a quantity."""
     word, unit = column.parts
     stated, lower = quantity_of(unit), f"{word} {column.leaf}".lower()
     fits = {name for name, known in QUANTITIES.items() if any(part in lower for part in known.parts.split(", "))}
@@ -393,7 +393,7 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
         return replace(table, columns=(*table.columns, *_behind(stem, added)))
     if columns.rate is not None and table.rows == other.rows:
         got = f"{columns.rate:g} Hz, but {other.source} has as many samples in {float(np.ptp(second.seconds)):.6g} s"
-        raise FileFormatError(argument="rate", got=got, need="none: the time of that file holds for both")
+        raise FileFormatError(argument="rate", got=got, need="no rate: the time of that file holds for both")
     second = second._replace(columns=_behind(stem, second.columns), seconds=second.seconds + _offset(first, second))
     for file in (first, second):
         if not np.all(np.diff(file.seconds) > 0):
@@ -451,5 +451,5 @@ def _common(kept: _Timed, moved: _Timed) -> tuple[Array, list[str]]:
         return times, []
     return times, [
         f"{moved.source} has steps of up to {widest:.4g} s, where {kept.source} has {usual:.4g} s: its columns are "
-        "straight lines between them; record both equally fast."
+        "interpolated linearly; record both equally fast."
     ]

@@ -134,9 +134,9 @@ _REMEDIES = {
 class Known:
     """What is known of a record and its model before the regression.
 
-    `zero`: shift to the model's axis [m]; `doubt`: its uncertainty that the record leaves [m]. `own`, `noise`:
-    standard deviations of the model's own error on this path, and of the sensor [m]. `cycle` [s]. `slow`: whether the
-    record can show creep or a drift. `stroke` [m]. `least`: effect [m] from which a change counts.
+    `zero`: shift to the model's axis [m]; `doubt`: the uncertainty of `zero` [m]. `own`, `noise`: standard deviations
+    of the model's own error on this path, and of the sensor [m]. `cycle` [s]. `slow`: whether the record can show creep
+    or a drift. `stroke` [m]. `least`: effect [m] from which a change counts.
     """
 
     zero: float

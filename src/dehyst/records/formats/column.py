@@ -181,8 +181,7 @@ class Column:
     `name`: as in the file. `data` (n,): its numbers, NaN where a cell is empty. `unit`: unit that the file states
     outside of the name. `fault`: why the column cannot be used, and what to try. `unnamed`: whether the file has no
     names, and the name is therefore a number. `guessed`: properties that the file does not state. `began`: the first
-    timestamp, of a column that has them. `kept`: whether a record keeps it as a further channel, regardless of its
-    name.
+    timestamp, of a column that has them. `kept`: whether a record keeps it as a further channel, whatever its name.
     `timing`: what a record file states of its samples: "sample" for a voltage that is held, "events" for a displacement
     that is known at events only. `group`: where it is in the file, with a slash behind each level; a part of the name.
     """

@@ -38,7 +38,7 @@ def cells_of(line: str, delimiter: str | None) -> list[str]:
 
 
 def number_in(cell: str, decimal: str = ".") -> float:
-    """Return a cell's number, NaN if empty; raise ValueError for numbers of Python only: 1_000, other digits."""
+    """Return a cell's number, NaN if empty; raise ValueError for what only Python reads: 1_000, other digits."""
     if "_" in cell or not cell.isascii() or (decimal == "," and "." in cell):
         raise ValueError(cell)
     return float(cell.replace(decimal, ".") or "nan")

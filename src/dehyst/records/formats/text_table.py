@@ -164,7 +164,7 @@ class _Table:
         return np.full(len(cells), np.nan) if unread else np.array(values)
 
     def _cells(self, before: int, lines: list[str]) -> Iterator[tuple[int, list[str]]]:
-        """Yield line number and cells of each row, without comments; raise FileFormatError for another length."""
+        """Yield line number and cells of each row, without comments; raise FileFormatError for a wrong length."""
         delimiter, width, count = self.delimiter, self.width, self.count
         for number, line in enumerate(lines, before + 1):
             if not line.strip(f"{delimiter or ''} \t\n"):
