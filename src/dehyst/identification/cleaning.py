@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dehyst._types import Array
 from dehyst.identification.rules import RULES
 from dehyst.model import Dynamics
-from dehyst.records import Record, cleaned, counting, gaps, noise_span, reversals, turning_points, white_noise
+from dehyst.records import Record, cleaned, counting, gaps, noise_span, reversals, turning_points, usable, white_noise
 
 _BINS = 64
 # Displacements in a hole show a reversal if they exceed the displacements at its ends by this part of the stroke.
@@ -56,9 +56,9 @@ def rest_at_ends(record: Record) -> tuple[int, int]:
     rest = y[stop:] if counted is None else y[stop:][counted[stop:]]
     if record.time[-1] - record.time[stop - 1] < least or _creeps(rest, record):
         stop = size
-    if counted is not None:
+    if record.set_aside:
         # The step at either end of a rest belongs to the rest.
-        aside = np.flatnonzero(~counted)
+        aside = np.flatnonzero(~usable(record))
         start = _beyond(aside, start) if start else start
         stop = size - _beyond(size - 1 - aside[::-1], size - stop) if stop < size else stop
     return start, stop

@@ -26,7 +26,7 @@ from dehyst.identification.solver import ActiveSet
 from dehyst.identification.start_state import StartState, fit_start, fit_strained
 from dehyst.identification.structure import Grid
 from dehyst.model import Actuator, Identification, State, at_reference, major_loop, needs_time, stroke_of, voltages_of
-from dehyst.records import Record, counting, largest, rms, thinned, turning_points
+from dehyst.records import Record, counting, largest, rms, thinned, turning_points, usable
 
 # Largest number of rows; a longer record is thinned evenly.
 MOST_ROWS = 200_000
@@ -432,8 +432,7 @@ def _runs(piece: Record, first: int, last: int) -> Iterator[tuple[int, int, bool
     """Yield the first and one after the last sample of runs of one kind, and whether their samples count."""
     edges = [first, last]
     # Between events the voltage drives the model.
-    counted = counting(replace(piece, measured=None))
-    if counted is not None:
-        edges[1:1] = [k for k in (np.flatnonzero(np.diff(counted)) + 1).tolist() if first < k < last]
+    counted = usable(piece)
+    edges[1:1] = [k for k in (np.flatnonzero(np.diff(counted)) + 1).tolist() if first < k < last]
     for start, stop in pairwise(edges):
-        yield start, stop, counted is None or bool(counted[start])
+        yield start, stop, bool(counted[start])

@@ -16,7 +16,7 @@ from dehyst.identification.cleaning import disturbs, local_polynomials, remove_d
 from dehyst.identification.regressors import Epoch, epochs
 from dehyst.identification.rules import RULES
 from dehyst.model import DisplacementCreep, Dynamics, Thermal
-from dehyst.records import Record, bandwidth, counting, interpolate, of_one_axis
+from dehyst.records import Record, bandwidth, counting, interpolate, of_one_axis, usable
 
 # Share of the voltage's energy above its bandwidth; least sample rate over this bandwidth; least number of samples of
 # the shortest cycle, and of all training records.
@@ -290,7 +290,7 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
     counted = np.ones(len(whole), dtype=bool) if (known := counting(whole)) is None else known
     rests = [(int(counted[:first].sum()), "before"), (int(counted[last:].sum()), "after")]
     record = whole[first:last] if last - first < len(whole) else whole
-    if first and not counted[first - 1]:
+    if first and not usable(whole)[first - 1]:
         record, way_out = cleaning.without_way_out(record)
         left_out = (*left_out, *way_out)
     record.check_usable()

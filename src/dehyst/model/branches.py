@@ -130,24 +130,31 @@ class Untested:
     command: str = ""
     speed: float = 0.0
 
-    def excitation(self, step: float = 0.0) -> str:
-        """Return the command; `step` [V]: the largest one between samples, 0 for any."""
-        return f"{self.command} --sample-rate {digits(_SPARE * self.speed / step)}" if step else self.command
-
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
         return json_values(self, "what sentence command")
 
 
-def excite_command(highest: float, lowest: float, option: str = "", kind: str = "recommended") -> str:
-    """Return the command that writes an excitation between two voltages [V], by default the one that tests any path."""
+def excitation(
+    high: float, low: float, option: str = "", kind: str = "recommended", speed: float = 0.0
+) -> tuple[str, float]:
+    """Return the command of an excitation between two voltages [V], and its largest speed [V/s].
+
+    The default tests any path. `speed` [V/s]: that of the `option`, if it sets one.
+    """
+    speed = speed or 2 * STEEPEST * _FREQUENCY * (high - low) * (FASTER if kind == "recommended" else 1.0)
     # The voltages are rounded inwards, as the stage may not allow more.
-    step = 10.0 ** (np.floor(np.log10(highest - lowest)) - 3)
-    top, base = step * np.floor(highest / step + 1e-6), step * np.ceil(lowest / step - 1e-6)
+    step = 10.0 ** (np.floor(np.log10(high - low)) - 3)
+    top, base = step * np.floor(high / step + 1e-6), step * np.ceil(low / step - 1e-6)
     base = base if abs(base) > 1e-3 * top else 0.0
     # Different excitations have different files.
     file = "_".join([kind, f"{top:g}", *[f"{base:g}"] * bool(base), *option.split()[1::2]])
-    return f"dehyst excite {kind} {top:g} --base {base:g} {option}-o {file}.csv"
+    return f"dehyst excite {kind} {top:g} --base {base:g} {option}-o {file}.csv", speed
+
+
+def sampled(command: str, speed: float, step: float) -> str:
+    """Return the command of an excitation with a `speed` [V/s]; `step` [V]: largest one between samples, 0 for any."""
+    return f"{command} --sample-rate {digits(_SPARE * speed / step)}" if step else command
 
 
 def untested_by(
@@ -159,13 +166,13 @@ def untested_by(
     if over > _BEYOND * validity.span:
         words = f"The path goes {over:.3g} V beyond the voltages of the records."
         ends = max(high, float(voltage.max())), min(low, float(voltage.min()))
-        yield Untested("voltages", words, *_excitation(*ends))
+        yield Untested("voltages", words, *excitation(*ends))
     path, edges = voltage[at], np.linspace(low, high, CELLS + 1)
     outside = int(np.count_nonzero(~are_tested(path, *tested_loops(validity.branches, edges), edges)))
     # Records with random turning points also test the turning points between these.
     if outside and not validity.turns_anywhere:
         words = f"{outside} of {len(path)} branches begin where no record turned."
-        yield Untested("turns", words, *_excitation(high, low))
+        yield Untested("turns", words, *excitation(high, low))
     if time is None or time.size < 2:
         return
     speed, rate = paces_of(time, voltage, at).T
@@ -193,7 +200,7 @@ def untested_by(
     hold = max(waits, hold_of(time, voltage, validity.span))
     if hold > ALIKE * validity.hold:
         words = f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."
-        yield Untested("hold", words, *_excitation(high, low, f"--hold {digits(hold)} ", "staircase"))
+        yield Untested("hold", words, *excitation(high, low, f"--hold {digits(hold)} ", "staircase"))
 
 
 def not_recorded(validity: Validity) -> Iterator[Untested]:
@@ -201,23 +208,15 @@ def not_recorded(validity: Validity) -> Iterator[Untested]:
     low, high = validity.limits
     if not validity.turns_anywhere:
         words = "The records do not turn at random: branches that begin elsewhere are tested little."
-        yield Untested("turns", words, *_excitation(high, low))
+        yield Untested("turns", words, *excitation(high, low))
     branch = validity.span / validity.speeds[1] if validity.speeds[1] else 0.0
     if branch and validity.hold < branch:
         words = f"The records hold for {validity.hold:.3g} s at most: creep at rest is tested little."
-        yield Untested("hold", words, *_excitation(high, low, f"--hold {max(10.0, 2 * branch):.0f} ", "staircase"))
+        yield Untested("hold", words, *excitation(high, low, f"--hold {max(10.0, 2 * branch):.0f} ", "staircase"))
 
 
 def _paced(high: float, low: float, speed: float, faster: float) -> tuple[str, float]:
     """Return the command of an excitation with a `speed` [V/s], `faster` times that of its slowest branches."""
     # The fastest branches have the speed of the path and not more.
     option = f"--frequency {digits(0.5 * speed / faster / (high - low))} --slew-rate {STEEPEST * speed:.3g} "
-    return _excitation(high, low, option, speed=STEEPEST * speed)
-
-
-def _excitation(
-    high: float, low: float, option: str = "", kind: str = "recommended", speed: float = 0.0
-) -> tuple[str, float]:
-    """Return the command of an excitation, and its largest speed [V/s]; default: that without an option for it."""
-    usual = 2 * STEEPEST * _FREQUENCY * (high - low) * (FASTER if kind == "recommended" else 1.0)
-    return excite_command(high, low, option, kind), speed or usual
+    return excitation(high, low, option, speed=STEEPEST * speed)

@@ -23,6 +23,7 @@ from dehyst.records.signals import (
     resolution,
     rms,
     turning_points,
+    usable,
     white_noise,
 )
 from dehyst.records.tables import Table

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # Least number of events of a record, and of its longest branch; samples that are kept for each event, and in all.
 _FEWEST, _EACH, _MOST = 4, 100, 10_000
+# Samples are no farther apart than events, by this quantile of the distances of these.
+_NEAR = 0.05
 # A crossing goes from minus to plus this part of the amplitude; an extreme lies among samples above the second part.
 _BAND, _TOP = 0.35, 0.6
 # Least part of its range by which a signal returns from an extreme; number of extremes whose median is a level.
@@ -77,7 +79,9 @@ def thinned(record: Record) -> Record:
     wanted = 0 if known is None else min(_EACH * int(np.count_nonzero(known)), _MOST)
     if known is None or len(record) < 2 * wanted:
         return record
-    every = len(record) // max(wanted, 1)
+    # Where the stage is fast, its events are near one another.
+    apart = int(np.quantile(np.diff(np.flatnonzero(known)), _NEAR)) if wanted > _EACH else len(record)
+    every = max(min(len(record) // max(wanted, 1), apart), 1)
     coarse = record[np.arange(0, len(record), every)]
     own = known & (record.time <= coarse.time[-1])
     y = at_samples(coarse.time, coarse.voltage, record.time[own], record.displacement[own])
@@ -257,11 +261,12 @@ def _refuse_lost_counts(
     if longest < _FEWEST:
         raise _refusal(f"{longest} crossings in the longest branch", f"drive over more periods, {_FEWEST} crossings")
     half = usual if kind == "fringe" else 0.5 * usual
-    steps, speed = np.abs(np.diff(voltage)), float(np.max(np.abs(np.diff(voltage)) / np.diff(time)))
+    steps, seconds = np.abs(np.diff(voltage)), np.diff(time)
     if (fast := np.flatnonzero(steps > _STEP * half)).size:
-        rate, slow = _SPARE * speed / (_STEP * half), _STEP * half / float(np.median(np.diff(time))) / _SPARE
-        hint = f"sample at {digits(rate)} Hz, or drive at {digits(slow)} V/s at most"
-        raise _refusal(f"too few samples a period at {time[fast[0]]:.6g} s", hint)
+        rate, slow = (steps / seconds)[fast].max() / (_STEP * half) * _SPARE, _STEP * half / seconds[fast] / _SPARE
+        hint = f"sample at {digits(rate)} Hz, or drive at {digits(slow.min())} V/s at most"
+        apart = f"too few samples a period at {time[fast[0]]:.6g} s, {1e3 * seconds[fast[0]]:.3g} ms apart"
+        raise _refusal(apart, hint)
     beyond = time[np.abs(z) > _BEYOND]
     if beyond.size:
         demand(False, float(beyond[0]), float(beyond[-1]))

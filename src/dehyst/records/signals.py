@@ -272,7 +272,12 @@ def counting(record: Record) -> Mask | None:
     """Return whether each sample counts in a fit or an error (n,): measured and not left out; None if all do."""
     if not record.set_aside:
         return record.measured
-    kept = np.ones(len(record), dtype=bool) if record.measured is None else record.measured.copy()
+    return usable(record) if record.measured is None else record.measured & usable(record)
+
+
+def usable(record: Record) -> Mask:
+    """Return whether each sample is outside of the stretches that were set aside (n,)."""
+    kept = np.ones(len(record), dtype=bool)
     for first, last in record.set_aside:
         kept[np.searchsorted(record.time, first) : np.searchsorted(record.time, last, side="right")] = False
     return kept

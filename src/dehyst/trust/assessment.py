@@ -25,7 +25,7 @@ from dehyst.identification import (
     identifiability,
     probed,
 )
-from dehyst.model import Actuator, Promise, Stage, by_axis, excite_command, matrix_lines, promised, voltages_of
+from dehyst.model import Actuator, Promise, Stage, by_axis, excitation, matrix_lines, promised, sampled, voltages_of
 from dehyst.records import Record, largest
 from dehyst.trust.recheck import coupling_of
 from dehyst.trust.turn_plane import TurnPlane, turn_plane
@@ -149,10 +149,10 @@ class Insight(Plotted):
         """Commands that write what to record next; empty if no excitation tests more."""
         if self.promise is None:
             low, high = voltages_of(self.actuator)
-            return (excite_command(high, low),) if self._open() else ()
+            return (excitation(high, low)[0],) if self._open() else ()
         # Records of a counted signal know the largest step of the voltage in a sample.
-        step = min(item.given.record.meta.get("step_V", 0.0) for item in self.comparisons)
-        return tuple(dict.fromkeys(gap.excitation(step) for gap in self.promise.untested if gap.command))
+        step, gaps = min(item.given.record.meta.get("step_V", 0.0) for item in self.comparisons), self.promise.untested
+        return tuple(dict.fromkeys(sampled(gap.command, gap.speed, step) for gap in gaps if gap.command))
 
     def warnings(self) -> tuple[str, ...]:
         """Return warnings to consider before the model is used or follows the path of the `plan`."""

@@ -93,6 +93,8 @@ class Change:
         if len(self.parts) > 1:
             words = _AND.join(self.parts)
             text = f"The loop has changed by {self.amount(stroke)}; this record cannot separate {words}."
+            if set(self.parts) <= {"zero", *SLOW}:
+                return f"{text} The errors leave these out: no new model is needed."
             return f"{text} Record the loops of `{to_record}`, which separate them." if to_record else text
         direction = _WORDS[self.name][0 if self.value > 0 else 1]
         effect = lines.percent(abs(self.effect), stroke)
@@ -117,7 +119,7 @@ _WORDS = {
     "lag": ("The displacement lags more, by {}", "The displacement lags less, by {}"),
     "creep": ("The displacement creeps up by {}", "The displacement creeps down by {}"),
     "drift": ("The displacement drifts up by {}", "The displacement drifts down by {}"),
-    "shape": 2 * ("No such change explains an RMS error of {}",),
+    "shape": 2 * ("No change of gain, width, zero, lag or creep explains an RMS error of {}",),
 }
 _REMEDIES = {
     "gain": "Check the sensor's and the amplifier's gain, the load and the preload.",

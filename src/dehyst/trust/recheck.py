@@ -34,8 +34,9 @@ from dehyst.model import (
     Stage,
     State,
     by_axis,
-    excite_command,
+    excitation,
     promised,
+    sampled,
     stroke_of,
     untested,
     voltages_of,
@@ -183,7 +184,9 @@ class Recheck(Plotted):
         if known is not None and not self.mismatch:
             promised = " and ".join(lines.percent(bound, stroke, *missed) for bound in bounds)
             kept = "missed, as by one path in ten" if self.standing is Standing.NEVER_MET else "not kept"
-            text += f". The model promised {promised} RMS on {known.path}: {'kept' if self.kept else kept}"
+            if self.kept:
+                kept = "kept, but too large to be of use" if known.unusable else "kept"
+            text += f". The model promised {promised} RMS on {known.path}: {kept}"
         return f"{text}. {self._advice()}"
 
     @property
@@ -332,6 +335,9 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     least = _EFFECT_PART * goal / 100 * stroke
     known = Known(errors.zero, _doubt(actuator, record), own, prepared.noise, cycle, slow, stroke, least)
     unexplained = beyond_noise(judged, prepared.noise)
+    remarks = untested(actuator, promise, record.temperature)[promise is not None and bool(promise.unusable) :]
+    # Loops that are slow enough to show creep; a counted signal needs a small step of the voltage in each sample.
+    pace, step = f"--frequency {1 / cycle:.3g} " * (cycle > 10), record.meta.get("step_V", 0.0)
     return Recheck(
         record=record.name,
         model=actuator.name,
@@ -344,11 +350,11 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         goal=goal,
         drift=drift,
         changes=find_changes(trace, known),
-        remarks=(*untested(actuator, promise, record.temperature), *_uncovered(actuator, record), *prepared.sentences),
+        remarks=(*remarks, *_uncovered(actuator, record), *prepared.sentences),
         trace=trace,
         unjudged=float(trace.time[begin]) - min(trace.began, float(trace.time[0])) if begin else 0.0,
         promise=promise,
-        to_record="" if many else excite_command(*voltages_of(actuator)[::-1], f"--frequency {1 / cycle:.3g} "),
+        to_record="" if many else sampled(*excitation(*voltages_of(actuator)[::-1], pace), step),
     )
 
 
