@@ -276,3 +276,14 @@ def test_the_largest_displacement_has_a_finite_voltage():
     """A model that is refused nowhere computes finite voltages at the farthest place."""
     actuator = Actuator(UNIFORM, Spring([0.0, 1.0], [0.0, MOST]))
     assert np.isfinite(actuator.compensate([0.5 * FARTHEST, -0.5 * FARTHEST], extrapolate=True).voltage).all()
+
+
+def test_bends_that_coincide_but_for_rounding_have_no_branch_between_them():
+    slip = GradedSlip([0.1e-6], [0.0, 0.3e-6, 1e-6], [[1e6, 5e6]])
+
+    def actuator(bend):
+        return Actuator(slip, Spring([0.0, bend, 1e-6], [0.0, bend * 1e6, bend * 1e6 + (1e-6 - bend) * 1e7]))
+
+    assert actuator(float(np.nextafter(0.3e-6 - 0.1e-6, 1))).slip is slip
+    with pytest.raises(ModelError, match="does not rise"):
+        actuator(0.21e-6)

@@ -138,10 +138,7 @@ class Untested:
 def excitation(
     high: float, low: float, option: str = "", kind: str = "recommended", speed: float = 0.0
 ) -> tuple[str, float]:
-    """Return the command of an excitation between two voltages [V], and its largest speed [V/s].
-
-    The default tests any path. `speed` [V/s]: that of the `option`, if it sets one.
-    """
+    """Return the command of an excitation, by default one that tests any path, and its largest speed [V/s]."""
     speed = speed or 2 * STEEPEST * _FREQUENCY * (high - low) * (FASTER if kind == "recommended" else 1.0)
     # The voltages are rounded inwards, as the stage may not allow more.
     step = 10.0 ** (np.floor(np.log10(high - low)) - 3)

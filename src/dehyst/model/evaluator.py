@@ -360,7 +360,9 @@ def least_slope(slip: MaxwellSlip | GradedSlip, spring: Spring) -> float:
     for side, rho in (("rising", slip.breakaway), ("falling", -slip.breakaway)):
         bends = np.concatenate([spring.displacement[1:-1], slip.knots[1:-1], (slip.knots[1:-1, None] + rho).ravel()])
         bends = np.unique(bends) if bends.size else np.zeros(1)
-        at = np.concatenate([[bends[0] - 1], 0.5 * (bends[1:] + bends[:-1]), [bends[-1] + 1]])
+        # Nothing lies between bends that coincide but for rounding.
+        apart = np.diff(bends) > _ROUNDING * np.ptp(bends)
+        at = np.concatenate([[bends[0] - 1], 0.5 * (bends[1:] + bends[:-1])[apart], [bends[-1] + 1]])
         own_slope = spring.slopes[np.searchsorted(spring.displacement[1:-1], at, side="right")]
         gains, losses = slip.slopes_at(at[:, None]).sum(axis=1), slip.slopes_at(at[:, None] - rho).sum(axis=1)
         slope, rounding = own_slope + gains - losses, _ROUNDING * (own_slope + gains)

@@ -104,11 +104,11 @@ class TemperatureCost:
         if self.tested is None or self.temperature is None:
             return ()
         low, high = float(np.min(self.temperature)), float(np.max(self.temperature))
-        near, tested = NEAR_KELVINS if self.thermal is None else _ALIKE, self.tested
-        needed = {end for end, off in ((low, tested[0] - low), (high, high - tested[1])) if off > near}
+        near, (coldest, hottest) = NEAR_KELVINS if self.thermal is None else _ALIKE, self.tested
+        needed = {end for end, off in ((low, coldest - low), (high, high - hottest)) if off > near}
         if needed and self.thermal is None:
             # The records do not show an effect of temperature: it needs a third temperature in the middle.
-            needed.add(0.5 * (min(low, tested[0]) + max(high, tested[1])))
+            needed.add(0.5 * (min(low, coldest) + max(high, hottest)))
         return tuple(sorted(needed))
 
     @property
