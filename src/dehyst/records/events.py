@@ -79,7 +79,7 @@ def thinned(record: Record) -> Record:
     wanted = 0 if known is None else min(_EACH * int(np.count_nonzero(known)), _MOST)
     if known is None or len(record) < 2 * wanted:
         return record
-    # Where the stage is fast, its events are near one another.
+    # Events are near one another where the stage is fast.
     apart = int(np.quantile(np.diff(np.flatnonzero(known)), _NEAR)) if wanted > _EACH else len(record)
     every = max(min(len(record) // max(wanted, 1), apart), 1)
     coarse = record[np.arange(0, len(record), every)]

@@ -276,7 +276,7 @@ def counting(record: Record) -> Mask | None:
 
 
 def usable(record: Record) -> Mask:
-    """Return whether each sample is outside of the stretches that were set aside (n,)."""
+    """Return whether each sample is outside of the stretches that are left out (n,)."""
     kept = np.ones(len(record), dtype=bool)
     for first, last in record.set_aside:
         kept[np.searchsorted(record.time, first) : np.searchsorted(record.time, last, side="right")] = False
