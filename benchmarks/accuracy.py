@@ -212,7 +212,7 @@ def main() -> None:
         }
     }
     if not data:
-        print(f"no measured data in {given.data.name}: left out; the README's table keeps needing them")
+        print(f"no measured data in {given.data.name}: left out; the table of README still needs them")
     if "main" in parts:
         results |= {"virtual": virtual(), "measured": measured(given.data) if data else None}
         show_main(results)

@@ -27,7 +27,7 @@ HIGHEST, STROKE = 100.0, 13e-6
 LIMITS = (-10.0, 110.0)
 PLANTS = ("creep", "resonance", "rate", "noise")
 # The cycle in which a sensor becomes faulty, and the number of all cycles.
-LIES_FROM, LYING = 4, 16
+FAULTY_FROM, FAULTY_CYCLES = 4, 16
 
 
 class Plant:
@@ -126,7 +126,7 @@ class Bench:
         for k in range(cycles):
             y = self.plant.run(repetition.next())
             said = self.plant.measured(y)
-            repetition.learn(said if sensor is None or k < LIES_FROM else sensor(said, k))
+            repetition.learn(said if sensor is None or k < FAULTY_FROM else sensor(said, k))
             errors.append(y - self.path)
             seen = k if seen is None and not repetition.believed else seen
         return np.array(errors), seen
@@ -140,15 +140,15 @@ class Bench:
             for i, wanted in enumerate(self.path.tolist()):
                 y = self.plant.step(feedback.step(wanted, said))
                 told.append(float(self.plant.measured(y)))
-                lies = sensor is not None and k >= LIES_FROM
-                said = float(sensor(np.array(told[-SAMPLES:]), k)[-1]) if lies else told[-1]
+                faulty = sensor is not None and k >= FAULTY_FROM
+                said = float(sensor(np.array(told[-SAMPLES:]), k)[-1]) if faulty else told[-1]
                 error[i] = y - wanted
             errors.append(error)
             seen = k if seen is None and not feedback.believed else seen
         return np.array(errors), seen
 
 
-def lies(rng: np.random.Generator) -> dict:
+def sensor_faults(rng: np.random.Generator) -> dict:
     """Twenty-seven faulty sensors: functions from the measured cycle (n,) [m] and its number to the reading."""
     middle = 0.5 * STROKE
 
@@ -182,7 +182,7 @@ def lies(rng: np.random.Generator) -> dict:
         "NaN and infinite in turn": lambda y, k: np.where(np.arange(y.size) % 2, np.nan, -np.inf),
         "spikes in two of three": lambda y, k: np.where(rng.random(y.size) < 0.67, STROKE * noise(y), y),
         "zero moved by a fifth": lambda y, k: y + 0.2 * STROKE,
-        "zero drifts by 1 % a cycle": lambda y, k: y + 0.01 * STROKE * (k - LIES_FROM + 1),
+        "zero drifts by 1 % a cycle": lambda y, k: y + 0.01 * STROKE * (k - FAULTY_FROM + 1),
     }
 
 
@@ -207,19 +207,19 @@ def tracked(kind: str, model: dehyst.Actuator, seed: int) -> dict:
     return found
 
 
-def lied_to(model: dehyst.Actuator, seed: int) -> dict[str, dict]:
+def faulty_sensors(model: dehyst.Actuator, seed: int) -> dict[str, dict]:
     """Return the largest errors after a fault is found, or else of all cycles, over those of the compensator alone."""
     path, found = triangle(), {}
-    frozen = np.abs(Bench("resonance", model, path, seed).frozen(LYING)).max(axis=1)
-    for name in lies(np.random.default_rng(seed)):
+    frozen = np.abs(Bench("resonance", model, path, seed).frozen(FAULTY_CYCLES)).max(axis=1)
+    for name in sensor_faults(np.random.default_rng(seed)):
         row = found.setdefault(name, {})
         for how in ("repeated", "fed_back"):
-            sensor = lies(np.random.default_rng(seed))[name]
-            errors, seen = getattr(Bench("resonance", model, path, seed), how)(LYING, sensor)
+            sensor = sensor_faults(np.random.default_rng(seed))[name]
+            errors, seen = getattr(Bench("resonance", model, path, seed), how)(FAULTY_CYCLES, sensor)
             largest = np.abs(errors).max(axis=1)
             # The correction ends in the cycle after the one that was judged.
-            after = slice(LIES_FROM if seen is None else min(seen + 2, LYING - 1), None)
-            row[how] = {"seen_after": None if seen is None else seen - LIES_FROM + 1}
+            after = slice(FAULTY_FROM if seen is None else min(seen + 2, FAULTY_CYCLES - 1), None)
+            row[how] = {"seen_after": None if seen is None else seen - FAULTY_FROM + 1}
             row[how]["of_frozen"] = float((largest[after] / frozen[after]).max())
             row[how]["worst_of_frozen"] = float((largest / frozen).max())
     return found
@@ -285,7 +285,7 @@ def main() -> None:
             row["worst_of_first"],
             {k: row[k]["rms"][::3] for k in ("frozen", "repetition", "feedback")},
         )
-    told = lied_to(models["resonance"], seed)
+    told = faulty_sensors(models["resonance"], seed)
     for name, row in told.items():
         print(f"{name:32}", row)
     steady = stable(seed)

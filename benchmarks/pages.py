@@ -99,7 +99,7 @@ def accuracy() -> list[str]:
 
 
 def baselines() -> list[str]:
-    """Every model on every virtual actuator, the worst of its paths, and its prediction of the measured stage."""
+    """Errors of every model on the worst path of every virtual actuator, and in prediction of the measured stage."""
     compared, truths = data("accuracy")["compared"], ("play", "creep", "preisach", "boucwen")
     head = (
         *("Largest and RMS error, % of the stroke", "plays, asymmetric", "the same, creeping", "Preisach"),
@@ -268,7 +268,7 @@ def rules() -> list[str]:
 
 
 def costs() -> list[str]:
-    """How often the promise is kept, and what a step costs, in a paragraph."""
+    """Return a paragraph on how often the promise is kept, and on the time of a step."""
     kept = data("promise")["made"]["tables"]["all"][""]["kept"]
     steps = data("latency")["plain"]["paths"]
     in_c, in_python = ([steps[path][key] for path in ("swept", "reversing")] for key in ("c_step_ns", "step_ns"))

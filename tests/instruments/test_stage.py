@@ -81,7 +81,7 @@ def test_long_records_are_cut_into_pieces_that_join():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda v: v * [1, 1.2, 1], "voltage, axis 2: 0 to .* V, but .* may have 0 to 120 V"),
+        (lambda v: v * [1, 1.2, 1], "voltage, axis 2: 0 to .* V, but .* allows 0 to 120 V"),
         (lambda v: np.where(np.arange(len(v))[:, None] % 2, v, v + np.array([0, 0, 15])), "axis 3: is as steep as"),
         (lambda v: v[:, :2], "got 2 columns of voltage, need 3"),
         (lambda v: v * np.nan, "finite"),

@@ -1,4 +1,4 @@
-"""An identified virtual actuator, and later records of it in which one thing has changed."""
+"""An identified virtual actuator, and later records of it with one change."""
 
 from functools import cache
 

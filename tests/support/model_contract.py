@@ -18,9 +18,9 @@ class ModelCandidate(NamedTuple):
     """A model under test.
 
     `name`: in the reports of pytest. `make`: function that returns a model, which has a displacement for each voltage
-    between 0 and 100 V, and a voltage for each of these. `tolerance`: how far its inverse may be from exact, as a
-    fraction of the range. `wipes_out`: whether closed inner loops leave no trace, as in the models of Preisach's class.
-    `moves`: whether each change of the voltage moves it.
+    between 0 and 100 V, and a voltage for each of these. `tolerance`: largest error of its inverse, as a fraction of
+    the range. `wipes_out`: whether closed inner loops leave no trace, as in the models of Preisach's class. `moves`:
+    whether each change of the voltage moves it.
     """
 
     name: str

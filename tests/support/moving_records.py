@@ -25,7 +25,7 @@ def plant(samples=40, hold=0):
 
 
 def still(noise=0.0, **path):
-    """The record without any of these differences."""
+    """The record without any difference between path and measurement."""
     return plant(**path).record(noise=noise)
 
 

@@ -98,7 +98,7 @@ def random_actuator(rng):
 
 @dataclass
 class Life:
-    """A compensator, the voltage that it sent last, and what is wrong."""
+    """A compensator, its last voltage sent, and the faults that were found."""
 
     rng: np.random.Generator
     note: object = lambda _: None
@@ -121,7 +121,7 @@ class Life:
         return low + (high - low) * self.rng.uniform(-0.3, 1.3)
 
     def path(self, size=None):
-        """Smooth, in jumps, or at rest."""
+        """A path that is smooth, jumps, or rests."""
         size = int(self.rng.choice([1, 2, 30, 120])) if size is None else size
         turns = np.array([self.wish() for _ in range(int(self.rng.integers(1, 6)))])
         if self.rng.random() < 0.3:

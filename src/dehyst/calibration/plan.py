@@ -112,7 +112,7 @@ class Plan:
 
 
 class PlannedStep(NamedTuple):
-    """One step and its `excitation`; `more`: samples that follow when the model is known."""
+    """One step and its `excitation`; `more`: number of samples that follow when the model is known."""
 
     name: str
     words: str
@@ -146,7 +146,7 @@ def steps(rig: AbstractRig, plan: Plan) -> tuple[PlannedStep, ...]:
     # The way to the path, and the path.
     path = branches[0] + (len(TURNS) - 1) * max(branches)
     for name, words in (("nominal", "by a constant ratio"), ("compensated", "by the model")):
-        what = f"homing, then a path of nine reversals {words}; its voltages follow"
+        what = f"homing, then a path of nine reversals {words}; its voltages are computed later"
         planned.append(PlannedStep(name, what, homing, path))
     for step in planned:
         rig.check(step.excitation)

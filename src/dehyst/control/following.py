@@ -53,10 +53,10 @@ def follow(
 ) -> Followed:
     """Return the voltages of a path (n,) [m] from a `state`, by default the present one; the memory is unchanged.
 
-    `present` [V]: before the first sample; default: the voltage that holds a given `state`, without one the last
-    voltage sent. `time` (n,) [s]: needed with a slew rate, and by an actuator that depends on time; default: a sample
-    every period. `period` [s]: time from the present voltage to the first sample, if shorter than the first step;
-    default: that of the axis. `temperature` [degC]: replaces gain and offset of the axis. `velocity` [m/s],
+    `present` [V]: before the first sample; default: the voltage that holds a given `state`, or without a `state` the
+    last voltage sent. `time` (n,) [s]: needed with a slew rate, and by an actuator that depends on time; default: a
+    sample every period. `period` [s]: time from the present voltage to the first sample, if shorter than the first
+    step; default: that of the axis. `temperature` [degC]: replaces gain and offset of the axis. `velocity` [m/s],
     `acceleration` [m/s^2]: as in `Actuator.compensate`.
     """
     wanted = vector(displacement, "displacement")

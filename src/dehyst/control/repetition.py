@@ -1,4 +1,4 @@
-"""Repetition: a path that is repeated learns from its own error, cycle by cycle, around the compensator."""
+"""Repetition: the error of each cycle of a repeated path corrects the next cycle, ahead of the compensator."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _BLEND = 0.125
 
 
 class _Cycle(NamedTuple):
-    """A cycle as it was sent: states before it, arrays (n, axes), and its RMS error."""
+    """A cycle that was sent: states before it, arrays (n, axes), and RMS error."""
 
     states: tuple[State, ...]
     aim: Array
@@ -231,7 +231,7 @@ class Repetition:
         best = self._best
         near = (_NEAR, 1.0, 1.0)[self._returned] * self.errors[0]
         if best is not None and self._returned < 2 and cycle.rms > max(_WORSE * best.rms + noise, near):
-            # A resonance may swing since the best cycle; a cycle without a correction excites no resonance.
+            # A resonance may have been excited after the best cycle; a cycle without a correction excites none.
             self._returned += 1
             self.correction = best.correction if self._returned == 1 else np.zeros(self.path.shape)
             self._last = None

@@ -225,13 +225,13 @@ class AbstractRig(ABC):
             low, high = float(column.min()), float(column.max())
             if low < limits.low or high > limits.high:
                 raise RecordError(
-                    f"{name}: {low:.6g} to {high:.6g} V, but {rig.name} may have {limits.words}; "
+                    f"{name}: {low:.6g} to {high:.6g} V, but {rig.name} allows {limits.words}; "
                     "request less, or widen the limits if device and actuator allow it; nothing was sent"
                 )
             steepest = float(np.abs(np.diff(column)).max()) * rate
             if steepest > rig.slew_rate * (1 + _SLACK):
                 raise RecordError(
-                    f"{name}: is as steep as {steepest:.6g} V/s at {rate:.6g} Hz, but {rig.name} may have "
+                    f"{name}: is as steep as {steepest:.6g} V/s at {rate:.6g} Hz, but {rig.name} allows "
                     f"{rig.slew_rate:.6g} V/s; play it slower; nothing was sent"
                 )
         return rate
@@ -432,19 +432,19 @@ class AbstractRig(ABC):
         said = f"The voltage{of} was brought to {safe} V."
         if isinstance(failed, ReadbackError):
             wrong = f"the readback gave {failed.read:.6g} V where {failed.sent:.6g} V had been sent"
-            said = f"{safe} V was sent{to}, but {wrong}; see to it by hand."
+            said = f"{safe} V was sent{to}, but {wrong}; check it by hand."
         elif failed is not None:
             # The cause of the first error may prevent the retreat too: the note does not repeat it.
             why = "" if str(failed) == str(cause) else f" ({failed})"
             known = "; ".join(f"{rig.axis + ': ' if self._parts else ''}{rig._output.words}" for rig in self.rigs)
-            holds = "the device holds, or plays to its end, what it has; see to it by hand"
+            holds = "the device holds its voltage, or plays its wave to the end; check it by hand"
             said = f"The voltage{of} could not be brought to {safe} V{why}; {known}: {holds}."
         elif any(math.isnan(rig._output.read) for rig in self.rigs):
             said = f"{safe} V was sent{to}, and the voltage could not be read."
         elif not all(rig._output.reached(rig.safe) for rig in self.rigs):
             said = f"{safe} V was sent{to}, and {', '.join(f'{rig._output.read:.6g}' for rig in self.rigs)} V is read."
         elif isinstance(cause, SensorError):
-            said = f"{safe} V was sent{to} and is read, but the sensor does not confirm it; see to it by hand."
+            said = f"{safe} V was sent{to} and is read, but the sensor does not confirm it; check it by hand."
         return VoltageNote(said, safe=failed is None, voltages=[rig._output.likely for rig in self.rigs])
 
 

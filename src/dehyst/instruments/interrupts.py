@@ -14,7 +14,7 @@ _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGQUIT", "SIGTER
 
 
 class Shield:
-    """Signal handlers for a with-statement: the first one passes, later ones wait until its end; with `defer` all wait.
+    """Signal handlers for a block: the first signal passes, later ones wait until its end; with `defer`, all wait.
 
     A signal whose handler is the system's, usually SIGTERM, raises Terminated, so that the wave is stopped too.
     `deferring`: whether signals wait. The first signal that raises an exception sets it.

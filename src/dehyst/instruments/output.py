@@ -118,7 +118,7 @@ class Output:
 
     @property
     def words(self) -> str:
-        """What is known of the output, for a message."""
+        """The known facts on the output, as text for a message."""
         if self._sent is None:
             return "nothing was sent yet"
         if self._unconfirmed is not None:
@@ -248,7 +248,7 @@ class Output:
     def _confirmed(
         self, sent: float, low: float, high: float, readings: int = _READINGS
     ) -> Generator[float, float, float]:
-        """Return the reading [V] once it is near `low` to `high`; yield a wait between at most `readings` readings.
+        """Return the reading [V] once it is near `low` to `high`; read at most `readings` times, and yield the waits.
 
         Raise `ReadbackError`, which says what was `sent`, if it does not come near in time.
         """
@@ -272,7 +272,7 @@ def bounds_of_axes(
 ) -> list[tuple[tuple[float, float] | None, float | None]]:
     """Return limits [V] and slew rate [V/s] that the user allows for each of `count` axes, given once or for each.
 
-    Raise `RigError` if there is another number of them, or one is no interval or no number.
+    Raise `RigError` for a wrong number of values, or for a value that is no interval or no number.
     """
     pairs, rates = (
         for_each(given, count, what, error=RigError) for what, given in (("limits", limits), ("slew_rate", slew_rate))

@@ -308,7 +308,7 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction
 
 
 def pieces(values: NDArray[Any], longest: int | None) -> Iterator[NDArray[Any]]:
-    """Yield rows (n, ...) in pieces of `longest` at most, each beginning where the one before ended."""
+    """Yield rows (n, ...) in pieces of `longest` at most; each piece begins with the last row of the piece before."""
     size = len(values)
     step = longest or size
     for start in range(0, max(1, size - 1), step - 1):

@@ -334,7 +334,7 @@ class Task:
         options: dict[str, Any] = {"time": self.time, "period": self.parts[0].way.step, **self.rates}
         for name, part in zip(self.stage.axes, self.parts, strict=True):
             way, actuator = part.way, part.loop.actuator
-            # An actuator that stands begins at the first sample of the path; so does a mass, which moves with the path.
+            # Without a way, the actuator begins at the first sample of the path. So does a mass.
             brought = way.last is None or evaluator_of(actuator).has_dynamics
             state = state_at(actuator, way.state, part.first) if brought else way.state
             given: dict[str, Any] = {"state": state, "present": way.last, "temperature": part.warmth}
