@@ -40,7 +40,7 @@ def follow(
     model: Path = option("The model (JSON) of one axis or several.", INPUT, required=True),
     path: Path = option("A file with times and a displacement, or the path of dehyst scan.", INPUT, required=True),
     output: Path = output("Folder for record, report, and the learnt voltages.", FOLDER, default="dehyst-follow"),
-    repeat: int | None = option("How often; default: once, with --learn until the error stays.", click.IntRange(1)),
+    repeat: int | None = option("Cycles; default: 1, with --learn until the error converges.", click.IntRange(1)),
     learn: bool = flag("Correct each repetition by the error of the one before."),
     feedback: bool = flag("Correct each sample by the reading before it; for one axis, at 200 Hz at most."),
     limits: OfAxes = limits_option("Range of the voltage [V]; default: that of the model and the device."),

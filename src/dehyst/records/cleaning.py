@@ -165,7 +165,7 @@ def voltage_steps(voltage: Array) -> Stretches:
 
 
 def transients(record: Record) -> list[tuple[int, int, int]]:
-    """Find steps after which the displacement rings: the sample before, the one after, and one after the ring."""
+    """Find steps after which the displacement rings: the samples before and after it, and after the ring."""
     steps, counted = voltage_steps(record.voltage), signals.counting(record)
     if counted is not None:
         steps = [(start, jump) for start, jump in steps if counted[start]]

@@ -64,7 +64,7 @@ class Scale(NamedTuple):
             return "" if quantity == "displacement" else f"a {self.kind} shows a displacement only"
         if not self.unit:
             known, own = not unit or quantity_of(unit) in (quantity, "voltage"), QUANTITIES[quantity].units[0]
-            return "" if known else f"a factor for it needs units, {self.factor:g} {own}/{unit}"
+            return "" if known else f"a factor for it needs units, as {self.factor:g} {own}/{unit}"
         if quantity_of(self.unit) != quantity:
             return f"the scale {self} does not give a {quantity}, need {', '.join(FACTORS[quantity])} before the slash"
         same = _plain(self.per) == _plain(unit) or (

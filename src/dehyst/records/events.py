@@ -34,7 +34,7 @@ _TWICE, _EXTREME, _HELD = 0.4, 0.95, 0.5
 # Largest step of the voltage in a sample, and largest change with the signal near its middle, in half periods; largest
 # change without a crossing, in usual ways.
 _STEP, _STAYS, _LONGEST = 0.5, 0.6, 3.5
-# Bounds of a way between crossings, in ways beside it: a longer way has lost a period, a shorter one has an extra one.
+# Bounds of a way between crossings, in ways beside it: a longer way lost a period, a shorter way has an extra period.
 _LONG, _FIRST, _SHORT = {"fringe": 2.2, "grating": 1.8}, 2.2, 0.35
 # The way back from a turn may be this number of usual ways shorter than the way there, or longer than three of them.
 _NEARER, _FARTHER = 0.75, 1.0

@@ -45,8 +45,8 @@ def rms(error: ArrayLike) -> float:
 def beyond_noise(error: Array, noise: float) -> tuple[float, float]:
     """Return the largest and the RMS of an error (n,) without what white noise explains; `noise`: its deviation.
 
-    Running means show the error below the noise. From the largest error, the most that noise adds to it in nine of ten
-    cases is subtracted. The RMS error is the largest RMS of the means without noise.
+    The largest error is less the most that noise adds to it in nine of ten cases, by the error that running means show.
+    The RMS error is the largest RMS of these means without their noise.
     """
     if not noise:
         return largest(error), rms(error)

@@ -269,7 +269,7 @@ class StageRecheck:
 _GOAL = 1.0
 # A change counts if its effect exceeds this part of the goal.
 _EFFECT_PART = 0.25
-# Turning points of a record that separates all changes, and how far one goes back, as a part of the range.
+# Number of turning points of a record that separates all changes; least return after a turn, as a part of the range.
 _TURNS, _TURN_PART = 20, 0.02
 # A coupling has changed if its difference exceeds this value and this multiple of its standard error.
 _LEAST_CHANGE, _SIGMAS = 0.005, 3.0

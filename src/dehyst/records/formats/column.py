@@ -23,7 +23,7 @@ class ColumnWords(NamedTuple):
 
     `example`: a name that is found. `words`: whole names; `more`: names that need a stated unit. For proposals: `parts`
     and `letters` of names, usual `units`, and the `range` of piezo stages in SI units, outside of which there is a
-    remark. A factor without units is in the first of the units.
+    remark. The unit of a bare factor is the first of `units`.
     """
 
     example: str
@@ -270,7 +270,7 @@ class Column:
 
     @property
     def is_counter(self) -> bool:
-        """Whether it counts samples: whole numbers that rise by one, or more where some are left out, by its name."""
+        """Whether name and numbers show a counter of samples: they rise by one, or more if samples are left out."""
         word, unit = self.parts
         steps = np.diff(self.data)
         rises = steps.size > 0 and steps.min() == 1 and not (np.any(steps % 1) or self.data[0] % 1)
