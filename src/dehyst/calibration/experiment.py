@@ -28,9 +28,9 @@ from dehyst.waveforms import Excitation
 # Names of the model's file beside the folder of records: for one axis, and for several.
 RESULT, STAGE_RESULT = "model.json", "stage.json"
 # Changes that cause a remark: of the temperature [K], and in the check of the last record.
-_WARMS, _DRIFTS = 0.5, {"gain", "zero", "drift"}
+_TEMPERATURE_CHANGE, _DRIFT_PARTS = 0.5, {"gain", "zero", "drift"}
 # A readback that differs from the voltage sent by more than this share causes a remark.
-_READS = 0.005
+_READBACK_ERROR = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,15 +203,15 @@ def _remarks(records: Sequence[Record], checked: Sequence[Recheck], sent: Array)
     for j, axis in enumerate(records[0].axes or ("",)):
         out, read = sent.reshape(len(sent), -1)[:, j], records[0].axis(j).voltage
         factor, where = float(np.polyfit(out, read, 1)[0]), f"Axis {axis}" if axis else "The rig"
-        if abs(factor - 1) > _READS:
+        if abs(factor - 1) > _READBACK_ERROR:
             yield f"{where} reads {factor:.4g} V per volt sent: calibrate the readback, or return the sent voltage."
     warmth = [record.temperature for record in records if record.temperature is not None]
-    if warmth and np.ptp(np.concatenate(warmth)) > _WARMS:
+    if warmth and np.ptp(np.concatenate(warmth)) > _TEMPERATURE_CHANGE:
         low, high = min(map(np.min, warmth)), max(map(np.max, warmth))
         yield f"The rig warmed or cooled during the calibration, from {low:.2f} to {high:.2f} degC in all."
     for j, (axis, recheck) in enumerate(zip(records[-1].axes or ("",), checked, strict=True)):
         yield from guesses(records[-1].axis(j))
         for change in recheck.changed:
-            if set(change.parts) <= _DRIFTS:
+            if set(change.parts) <= _DRIFT_PARTS:
                 where = f"Axis {axis}, since" if axis else "Since"
                 yield f"{where} the first records: {change.sentence(recheck.stroke)}"

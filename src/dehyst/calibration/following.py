@@ -20,7 +20,7 @@ from dehyst.records import beyond_noise
 from dehyst.waveforms import Excitation
 
 # Learning ends when this number of repetitions did not lower the RMS error by this part.
-_LAST, _LOWER = 3, 0.03
+_LAST, _LEAST_DECREASE = 3, 0.03
 
 
 def _clamps_of(plan: PathPlan, bounds: Sequence[VoltageLimits]) -> Clamps:
@@ -214,7 +214,7 @@ class FollowedPath:
             if errors[-1] == min(errors):
                 self.learnt, self.best = pair[1], tracked
             repetition.learn(reached if self._several else reached[:, 0])
-            falls = len(errors) <= _LAST or min(errors[-_LAST:]) < (1 - _LOWER) * min(errors[:-_LAST])
+            falls = len(errors) <= _LAST or min(errors[-_LAST:]) < (1 - _LEAST_DECREASE) * min(errors[:-_LAST])
             if not (repetition.believed and falls):
                 break
         self.clamps = Clamps(*np.sum([self.clamps, *np.reshape(loop.clamps, (-1, 2))], axis=0).tolist())

@@ -12,7 +12,7 @@ from dehyst.instruments import AbstractRig, played_rate
 from dehyst.waveforms import RATIO, TURNS, Excitation, Sampling, positive, raised_cosine, recommended, stage_excitation
 
 # Default cycles per second, samples per cycle, and speed of the path relative to them: for one axis, and for several.
-_ALONE, _TOGETHER = (0.1, 1000, 5.0), (1.0, 400, 1.0)
+_SINGLE_AXIS, _SEVERAL_AXES = (0.1, 1000, 5.0), (1.0, 400, 1.0)
 # For several axes: descending tops of each axis alone, and cycles of the first axis when all move together.
 _STEPS, _CYCLES = 16, 24
 
@@ -105,7 +105,7 @@ class Plan:
 
     def excitations(self, rig: AbstractRig) -> Excitations:
         """Return the excitations of this plan on a `rig`."""
-        usual, samples, faster = _ALONE if len(rig.axes) == 1 else _TOGETHER
+        usual, samples, faster = _SINGLE_AXIS if len(rig.axes) == 1 else _SEVERAL_AXES
         frequency = self.frequency or usual
         limits = tuple(each.limits for each in rig.rigs)
         return Excitations(limits, played_rate(rig, samples * frequency), frequency, faster, rig.axes)

@@ -22,7 +22,7 @@ from dehyst.records import Columns, Record, Recording, about_of, read
 from dehyst.waveforms import Excitation
 
 # A record that takes more than this multiple of its excitation's time causes a remark.
-_LONGER = 1.1
+_SLOW_FACTOR = 1.1
 
 
 class ProgressListener:
@@ -209,6 +209,6 @@ class Session(AbstractContextManager["Session"]):
 def slower(record: Record, planned: Excitation) -> Iterator[str]:
     """Yield a remark if the rig took longer than planned."""
     factor = float(np.ptp(record.time)) / planned.duration
-    if factor > _LONGER:
+    if factor > _SLOW_FACTOR:
         words = "the record has the slower speed. Use a faster link, or play it slower"
         yield f"The rig took {factor:.3g} times as long as planned for '{planned.name}': {words}."

@@ -20,7 +20,7 @@ from dehyst.waveforms import TURNS, Excitation, wanted_path
 
 # Share of every actuator's range that a path of several axes uses, and number of turning points by which an axis begins
 # later than the axis before.
-_USED, _LATER = 0.96, 3
+_RANGE_SHARE, _TURNS_LATER = 0.96, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +118,7 @@ class PathPlanner:
         bottom, top = moved.min(axis=0), moved.max(axis=0)
         stroke = top - bottom
         # The largest share with which no actuator leaves its range for any motion of the other axes.
-        share = _USED * float((stroke / (np.abs(stage.decoupling) @ stroke)).min())
+        share = _RANGE_SHARE * float((stroke / (np.abs(stage.decoupling) @ stroke)).min())
         middle = apply(stage.coupling, (0.5 * (bottom + top))[None])[0] + zero
         low = apply(stage.coupling, bottom[None])[0] + zero
         wanted = self._wanted(middle - 0.5 * share * stroke, share * stroke, start)
@@ -131,7 +131,7 @@ class PathPlanner:
         count = (len(TURNS) - 1) * max(branches) + 1
         paths = []
         for j, branch in enumerate(branches):
-            later = islice(cycle(TURNS[1:]), _LATER * j, _LATER * j + count // branch + 2)
+            later = islice(cycle(TURNS[1:]), _TURNS_LATER * j, _TURNS_LATER * j + count // branch + 2)
             turns = TURNS if len(branches) == 1 else tuple(later)
             paths.append(wanted_path(1.0, turns, branch=branch)[:count])
         path = origin + reach * np.column_stack(paths)

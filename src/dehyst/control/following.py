@@ -18,7 +18,7 @@ from dehyst.control.limits import TIME_NEEDED, VoltageLimits
 from dehyst.model import Actuator, PathData, State, evaluator_of, needs_time
 
 _CHUNK = 64
-_ANY = float(np.finfo(np.float64).max)
+_UNLIMITED = float(np.finfo(np.float64).max)
 # The code of `Loop.trace` for an offer that was not clamped.
 _NOT_CLAMPED = 1
 _ROUNDING = 1e-12
@@ -182,7 +182,7 @@ class _Path:
             run = slice(max(int(bounds[r]), first), int(bounds[r + 1]))
             if run.start >= run.stop:
                 continue
-            change = _ANY if limits.slew_rate is None else limits.slew_rate * seconds
+            change = _UNLIMITED if limits.slew_rate is None else limits.slew_rate * seconds
             numbers = np.array([limits.low, limits.high, change, 0.0, 0.0, 0.0, 1.0])
             coefficients = model.step_coefficients(np.array([0, 1]), np.array([seconds]))
             loop = model.core.loop(coefficients, np.ones(1), numbers, lambda *_: None, model.core_state(state))

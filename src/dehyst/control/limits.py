@@ -21,11 +21,11 @@ from dehyst.model import Actuator, Range, major_loop, voltage_error
 # The hint in errors about a missing time of the samples.
 TIME_NEEDED = "give the time [s] of each sample, or the period [s] between them"
 # A path in another unit than metres and below this part of the reach is probably in metres.
-_TINY = 1e-6
+_METRES_SHARE = 1e-6
 # Parts of the recorded range by which a voltage exceeds it: above the first it is far outside, below the second noise.
-_FAR, _NOISE = 0.1, 1e-3
+_FAR_OUTSIDE, _NOISE = 0.1, 1e-3
 # Bounds of the correction by a sensor, as parts of the reach: default and largest.
-_BOUND, _WIDEST = 0.05, 0.25
+_DEFAULT_BOUND, _LARGEST_BOUND = 0.05, 0.25
 
 
 @dataclass(frozen=True)
@@ -158,11 +158,11 @@ def outside_identified(
         f"{head}{count} of {voltage.size} voltages lie outside those of the records, {ends(low, high, 'V')}: "
         "extrapolated"
     )
-    far = float(beyond.max()) > _FAR * (high - low)
+    far = float(beyond.max()) > _FAR_OUTSIDE * (high - low)
     if far:
         warning += (
             f", and far: {float(voltage[int(np.argmax(beyond))]):.5g} V lies {float(beyond.max()):.4g} V beyond, "
-            f"more than {100 * _FAR:.0f} % of the range. Nothing was measured there: record these voltages and "
+            f"more than {100 * _FAR_OUTSIDE:.0f} % of the range. Nothing was measured there: record these voltages and "
             "identify again"
         )
     return Outside(count, far, (warning,))
@@ -221,9 +221,9 @@ def warn_of_sensor(fault: SensorFault, bound: float) -> None:
 def sensor_bound(width: float, bound: float | None) -> float:
     """Return the largest correction by a sensor: the `bound` that was given, or a twentieth of the reach's `width`."""
     if bound is None:
-        return _BOUND * width
-    if not 0 < number(bound, "bound") <= _WIDEST * width:
-        need = f"a displacement up to a quarter of the reach, {_WIDEST * width:g}"
+        return _DEFAULT_BOUND * width
+    if not 0 < number(bound, "bound") <= _LARGEST_BOUND * width:
+        need = f"a displacement up to a quarter of the reach, {_LARGEST_BOUND * width:g}"
         raise ModelError(argument="bound", got=bound, need=need)
     return float(bound)
 
@@ -261,7 +261,7 @@ def stray_sentence(actuator: Actuator, limits: VoltageLimits, displacement: Arra
 def unit_hint(units: str, reach: tuple[float, float], displacement: Array) -> tuple[str, ...]:
     """Return a hint if displacements (n,) [`units`] are far too small for the reach [`units`]."""
     largest = float(np.abs(displacement).max(initial=0.0))
-    if units == "m" or not 0 < largest <= _TINY * max(map(abs, reach)):
+    if units == "m" or not 0 < largest <= _METRES_SHARE * max(map(abs, reach)):
         return ()
     return (
         f"all displacements lie within {largest:.3g} {units} of 0, less than a millionth of the reach: are they in "

@@ -31,7 +31,7 @@ _GAP = 0.05
 _RESONANCE, _ABOVE_NOISE = 1.2, 3.0
 # A step is taken back if the RMS error exceeds this multiple of the least one and this share of the first one. The
 # whole correction is taken back if the best cycle, played again, is no better than the first.
-_WORSE, _NEAR = 1.2, 0.3
+_WORSE_THAN_BEST, _NEAR_FIRST = 1.2, 0.3
 # A change of the RMS error is significant above this part of it and this number of standard errors of the noise.
 _CHANGE, _ERRORS = 0.02, 3.0
 # Part of a cycle over which a new correction is blended in.
@@ -229,8 +229,8 @@ class Repetition:
         floor = np.median(size[len(size) // 2 :], axis=0) / np.sqrt(np.log(2))
         noise = _ERRORS * float(floor.max()) / len(error) / np.sqrt(2)
         best = self._best
-        near = (_NEAR, 1.0, 1.0)[self._returned] * self.errors[0]
-        if best is not None and self._returned < 2 and cycle.rms > max(_WORSE * best.rms + noise, near):
+        near = (_NEAR_FIRST, 1.0, 1.0)[self._returned] * self.errors[0]
+        if best is not None and self._returned < 2 and cycle.rms > max(_WORSE_THAN_BEST * best.rms + noise, near):
             # A resonance may have been excited after the best cycle; a cycle without a correction excites none.
             self._returned += 1
             self.correction = best.correction if self._returned == 1 else np.zeros(self.path.shape)
@@ -261,9 +261,9 @@ class Repetition:
             right = tried & (off < np.abs(push)) & (self._known | (size <= np.abs(spectrum + moved - was)))
             self._gains = np.where(wrong, _SLOWER, np.where(right, _FASTER, 1.0)) * self._gains
         self._gains = np.where(follows, _GAIN, np.minimum(self._gains, _GAIN))
-        heard = np.clip(1 - (_ABOVE_NOISE * floor / np.maximum(size, np.finfo(float).tiny)) ** 2, 0, 1)
+        weight = np.clip(1 - (_ABOVE_NOISE * floor / np.maximum(size, np.finfo(float).tiny)) ** 2, 0, 1)
         limit = max(min(self._highest, len(self.path) / (4.0 * max(gap, 1))), 1.0)
-        step = spectrum * heard * self._gains * np.clip(3 - 2 * harmonic / limit, 0, 1)
+        step = spectrum * weight * self._gains * np.clip(3 - 2 * harmonic / limit, 0, 1)
         step = np.where(step != 0, step / self._moves, 0)
         if self._last is not None:
             step = np.where(wrong, -self._last[2], step)

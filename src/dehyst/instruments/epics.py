@@ -18,11 +18,11 @@ from dehyst.instruments.base import AbstractRig
 from dehyst.instruments.waves import Reading
 
 # Rounding of a voltage that the IOC takes, as a share of the range.
-_ROUNDED = 1e-3
+_ROUNDING = 1e-3
 # Longest wait [s] for a reading of the voltage that is newer than the last command; time [s] between two polls.
-_STALE, _POLL_READBACK = 0.5, 0.01
+_LONGEST_READBACK_WAIT, _POLL_READBACK = 0.5, 0.01
 # Longest wait [s] for an answer after an answer was lost.
-_LOST = 2.0
+_WAIT_AFTER_LOSS = 2.0
 # ECA_TIMEOUT and ECA_DISCONN of Channel Access.
 _SILENT = (80, 192)
 # Characters of an answer that a message quotes.
@@ -122,7 +122,7 @@ class ChannelAccess:
             if answer.errorcode not in _SILENT:
                 raise DeviceError(f"{pv}: {str(answer).removeprefix(pv + ': ')}; may this client write it?")
             # After a lost answer the next waits are shorter: a retreat must not take minutes.
-            waited, self.timeout = self.timeout, min(_LOST, self.timeout)
+            waited, self.timeout = self.timeout, min(_WAIT_AFTER_LOSS, self.timeout)
             raise LinkError(f"{pv}: no answer within {waited:g} s; {HINT}")
         return answers
 
@@ -195,7 +195,7 @@ class EpicsRig(AbstractRig):
         return Reading(self._now() - self._began, voltage, self._metres * position)
 
     def _read_voltage(self) -> float:
-        deadline = time.monotonic() + _STALE
+        deadline = time.monotonic() + _LONGEST_READBACK_WAIT
         while True:
             (_, commanded), (voltage, read) = self._link.timed(self._names.voltage, self._names.readback)
             if read >= commanded or time.monotonic() > deadline:
@@ -205,7 +205,7 @@ class EpicsRig(AbstractRig):
     def _put(self, voltage: float) -> None:
         self._link.put(self._names.voltage, voltage)
         (taken,) = self._link.numbers(self._names.voltage)
-        if not abs(taken - voltage) <= _ROUNDED * (self.limits.high - self.limits.low):
+        if not abs(taken - voltage) <= _ROUNDING * (self.limits.high - self.limits.low):
             raise DeviceError(
                 f"{self.name}: took {taken:.6g} V when {voltage:.6g} V was sent: its limits are narrower than it "
                 "reports, or another client sends too"

@@ -14,7 +14,7 @@ from dehyst.instruments import gcs_syntax
 _Answer = TypeVar("_Answer")
 IDENTITY = "*IDN?"
 # Longest time [s] to restore a lost link: the first value, halved after each failure, but never below the second.
-_LOST, _LEAST = 1.5, 0.5
+_LONGEST_SEARCH, _SHORTEST_SEARCH = 1.5, 0.5
 # Seconds between two attempts to reconnect.
 _PAUSE = 0.02
 
@@ -31,7 +31,7 @@ class TcpLink:
         self._address, self._timeout = (host, port), timeout
         self._buffer = bytearray()
         self._half_sent = False
-        self._search = _LOST
+        self._search = _LONGEST_SEARCH
         self._socket: socket.socket | None = self._connect()
 
     def exchange(self, commands: Sequence[str], query: str) -> list[str]:
@@ -54,8 +54,8 @@ class TcpLink:
         Raise `LinkError` if that fails.
         """
         # After a lost answer the next waits are shorter: a retreat must not take minutes.
-        self._timeout = min(_LOST, self._timeout)
-        seconds, self._search = min(self._search, self._timeout), max(_LEAST, self._search / 2)
+        self._timeout = min(_LONGEST_SEARCH, self._timeout)
+        seconds, self._search = min(self._search, self._timeout), max(_SHORTEST_SEARCH, self._search / 2)
         if self._socket is not None and not self._half_sent:
             with suppress(LinkError):
                 self._await(identity, seconds)
@@ -92,14 +92,14 @@ class TcpLink:
         # An earlier answer that was cut off has no line feed.
         while not self._line(deadline).rstrip().endswith(wanted):
             pass
-        self._search = _LOST
+        self._search = _LONGEST_SEARCH
 
     def _connect(self) -> socket.socket:
         host, port = self._address
         if not 0 < port < 1 << 16:
             raise LinkError(f"{self.where}: got the port {port}, need 1 to 65535 (PI's is 50000)")
         try:
-            link = socket.create_connection((host, port), min(_LOST, self._timeout))
+            link = socket.create_connection((host, port), min(_LONGEST_SEARCH, self._timeout))
             link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except (socket.gaierror, UnicodeError) as error:
             raise LinkError(f"{self.where}: host {host!r} is not known; check its name, or give its number") from error

@@ -27,23 +27,23 @@ _SHORTEST_SWEEP = 0.1
 # Least range [V], and longest ramp through it [s].
 _LEAST_RANGE, _LONGEST_RAMP = 1e-3, 3600.0
 # Number of recent batches that determine the present place in a wave.
-_RECENT = 5
+_RECENT_BATCHES = 5
 # Least uncertainty [s] of the place in a wave.
 _LEAST_DELAY = 0.05
 # A voltage is reached if the reading is within this part of the range; a retreat sends its end at most this often.
-_EXACT, _SENT = 1e-5, 2
+_READBACK_ROUNDING, _MOST_ENDS = 1e-5, 2
 # Seconds between two steps of a ramp; a host keeps no better time.
 TICK = 0.01
 # Least time [s] of a ramp through the whole range: its steps are then small enough for any actuator.
-_GENTLE = 1.0
+_LEAST_RAMP_TIME = 1.0
 # A ramp through a slow link has fewer and larger steps: all answers take this time [s] at most. Least number of steps;
 # largest number of refused steps that a retreat sends again.
-_ANSWERS, _FEWEST, _AGAIN = 0.7, 2, 3
+_ANSWER_TIME, _LEAST_STEPS, _MOST_REPEATS = 0.7, 2, 3
 # Number of ticks for which a stage settles after a ramp, so that its lag is not in the record.
-_SETTLES = 10
+_SETTLING_TICKS = 10
 # Number of readings, a tick apart, within which the readback must reach the sent voltage; if readings take longer, the
 # time [s] and the least number of readings.
-_READINGS, _SETTLING, _FEW = 100, 1.5, 3
+_MOST_READINGS, _READBACK_TIME, _LEAST_READINGS = 100, 1.5, 3
 
 
 class VoltageNote(str):
@@ -78,7 +78,7 @@ class Output:
     def __init__(self, rig: AbstractRig) -> None:
         self._rig, self.read = rig, math.nan
         span = rig.limits.high - rig.limits.low
-        self._tolerance, self._exact = READBACK_TOLERANCE * span, _EXACT * span
+        self._tolerance, self._exact = READBACK_TOLERANCE * span, _READBACK_ROUNDING * span
         # Voltages of the present wave, or the last voltage that was sent; None before any was sent.
         self._sent: Array | None = None
         # A later voltage of which it is unknown whether the device took it; else None.
@@ -86,7 +86,7 @@ class Output:
         # Rows per second, and the row of the last sample. The row at the time 0 of the clock, extrapolated at this pace
         # from the sample with the least delay, and from each of the recent samples.
         self._pace, self._row, self._soonest = 0.0, 0, 0.0
-        self._recent: deque[float] = deque(maxlen=_RECENT)
+        self._recent: deque[float] = deque(maxlen=_RECENT_BATCHES)
         # Duration of the last answer [s].
         self._answer = 0.0
 
@@ -150,7 +150,7 @@ class Output:
             present = float(self._sent[-1])
             yield from self._confirmed(present, present, present)
         yield from self._steps(present, end, always=False)
-        for _ in range(_SETTLES * (present != end)):
+        for _ in range(_SETTLING_TICKS * (present != end)):
             yield TICK
         yield from self._confirmed(end, end, end)
 
@@ -173,8 +173,8 @@ class Output:
                 pass
         self.read = math.nan
         # After a contradiction, one reading is enough.
-        readings = 1 if contradiction else _READINGS
-        for _ in range(_SENT):
+        readings = 1 if contradiction else _MOST_READINGS
+        for _ in range(_MOST_ENDS):
             yield from self._steps(present, end, always=True)
             present = end
             try:
@@ -195,14 +195,14 @@ class Output:
         last step. The ramp's own speed, if it is lower, counts from the time when the last step was sent.
         """
         limits, slew = self._rig.limits, self._rig.slew_rate
-        speed = min(slew, (limits.high - limits.low) / _GENTLE)
+        speed = min(slew, (limits.high - limits.low) / _LEAST_RAMP_TIME)
         gentle, seconds = VoltageLimits(limits.low, limits.high, speed), abs(end - present) / speed
-        sending, again, unread = self._rig._now(), _AGAIN if always else 0, False
+        sending, again, unread = self._rig._now(), _MOST_REPEATS if always else 0, False
         while present != end or always:
             # Wait before the first step too: a wave may have been stopped just now. The wait is so long that the slew
             # rate allows the ramp's speed, or that few steps suffice.
             enough = self._answer * speed / (slew - speed) if slew > speed else math.inf
-            waited = yield max(TICK, min(seconds / _FEWEST, seconds * self._answer / _ANSWERS, enough))
+            waited = yield max(TICK, min(seconds / _LEAST_STEPS, seconds * self._answer / _ANSWER_TIME, enough))
             passed = max(waited, self._rig._now() - sending)
             voltage, sending = limits.towards(gentle.towards(end, present, passed), present, waited), self._rig._now()
             try:
@@ -246,7 +246,7 @@ class Output:
         return nearest
 
     def _confirmed(
-        self, sent: float, low: float, high: float, readings: int = _READINGS
+        self, sent: float, low: float, high: float, readings: int = _MOST_READINGS
     ) -> Generator[float, float, float]:
         """Return the reading [V] once it is near `low` to `high`; read at most `readings` times, and yield the waits.
 
@@ -261,7 +261,7 @@ class Output:
                 self._answer = self._rig._now() - asked
             if low - self._tolerance <= read <= high + self._tolerance:
                 return read
-            if count + 1 >= _FEW and self._rig._now() - begin > _SETTLING:
+            if count + 1 >= _LEAST_READINGS and self._rig._now() - begin > _READBACK_TIME:
                 break
             yield TICK
         raise ReadbackError(self._rig.name, sent, read)

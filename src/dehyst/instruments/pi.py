@@ -33,7 +33,7 @@ _METRES = 1e-6
 # Seconds between two polls of the recorder: less for a short wave, so that a dead sensor is detected in time.
 _SHORTEST_POLL, _POLL, _POLLS = 0.02, 0.1, 20
 # Largest number of values in one answer.
-_NUMBERS = 2000
+_MOST_NUMBERS = 2000
 # Time [s] between two readings within one tick of a clock.
 _TICK = 1e-9
 # Parameters of the public list.
@@ -277,7 +277,7 @@ class PiRig(AbstractRig):
         client = self._client
         # The recorder's tables: position and voltage of each axis.
         keys = [str(number + 1) for number in range(2 * len(self._pi_rigs))]
-        got, most = 0, max(1, _NUMBERS // len(keys))
+        got, most = 0, max(1, _MOST_NUMBERS // len(keys))
         poll = min(_POLL, max(_SHORTEST_POLL, count * interval / _POLLS))
         patience = max(self.patience, _PATIENT_SAMPLES * interval)
         latest = time.monotonic()

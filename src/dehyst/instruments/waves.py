@@ -34,17 +34,17 @@ _PATIENCE = 5.0
 # Seconds between two batches of samples that the host times.
 _BATCH_SECONDS = 0.2
 # A voltage that is late by less than this part of a period does not delay the next ones.
-_CAUGHT_UP = 0.5
+_ALLOWED_LATENESS = 0.5
 # A voltage that is read back may differ from the sent one by this share of the range.
 READBACK_TOLERANCE = 0.05
 # Largest displacement of a piezo stage from the zero of its sensor [m].
 _FARTHEST = 0.1
 # A wave takes at least this part of its duration, minus this number of samples: clocks differ, and it may begin late.
-_PACE, _LATE = 0.9, 20
+_LEAST_PACE, _LATE_SAMPLES = 0.9, 20
 # A clock of a device is wrong if it is ahead of the request by this time [s] and of the host's time by this factor.
-_JUMP, _FAST = 10.0, 1.1
+_CLOCK_LEAD, _CLOCK_FACTOR = 10.0, 1.1
 # A sensor is dead if its reading stays constant to the last digit while the voltage crosses this part of its range.
-_DEAD = 0.2
+_DEAD_SENSOR_RANGE = 0.2
 
 
 class Reading(NamedTuple):
@@ -139,7 +139,7 @@ class SensorWatch:
     """
 
     def __init__(self, span: float, name: str = "the sensor") -> None:
-        self._enough, self._name = _DEAD * span, name
+        self._enough, self._name = _DEAD_SENSOR_RANGE * span, name
         # The last reading, and the range of the voltage since the reading became constant.
         self._value, self._low, self._high = math.nan, 0.0, 0.0
 
@@ -204,8 +204,8 @@ class WaveWatch:
         self._first = self._first if self._count else float(samples.time[0])
         self._count += samples.time.size
         due, passed = float(self._rows[self._count - 1]) / self._rate, float(samples.time[-1]) - self._first
-        most = due + _FAST * (rig.rigs[0]._now() - self._began) + _JUMP
-        if not _PACE * due - _LATE / self._rate <= passed <= most:
+        most = due + _CLOCK_FACTOR * (rig.rigs[0]._now() - self._began) + _CLOCK_LEAD
+        if not _LEAST_PACE * due - _LATE_SAMPLES / self._rate <= passed <= most:
             raise DeviceError(
                 f"{rig.name}: its clock does not agree with the requested {self._rate:.6g} Hz: by its times, "
                 f"{passed:.6g} s passed, need {due:.6g} s; check the rig's _wave and nearest_rate, and its clock"
@@ -297,7 +297,7 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction
         rig._output.puts(v)
         before, sent = v, rig._now()
         # A wait that took too long does not delay the later voltages; a call that took too long does.
-        due = due + period if began - due < _CAUGHT_UP * period else began + period
+        due = due + period if began - due < _ALLOWED_LATENESS * period else began + period
         rig._wait(max(0.0, 0.5 * (began + sent + period - answer) - rig._now()))
         asked = rig._now()
         readings.append(rig._reading())

@@ -39,11 +39,11 @@ _TOLERANCE = 1e-3
 # Duration of a branch: as a part of the longest time constant; at least this number of periods of a resonance.
 _BRANCH, _PERIODS = 0.05, 50.0
 # A mass and a lag are at rest after this number of their time constants.
-_RESTS = 12.0
+_REST_TIME_CONSTANTS = 12.0
 # Number of samples of a branch in rough simulations; least number of samples of a cycle of a `Sampling`.
 _SAMPLES, _LEAST_CYCLE = 60, 8
 # Longest hold, in longest time constants; relative accuracy of a rough simulation; relative tolerance of the hold.
-_PATIENCE, _ROUGHLY, _NEARLY = 30.0, 0.95, 0.03
+_LONGEST_HOLD, _ROUGH_ACCURACY, _HOLD_TOLERANCE = 30.0, 0.95, 0.03
 # The time [s] that a homing may take.
 HOME_WITHIN = Numbers(positive=True, optional=True)
 # Factors by which branches become faster until a homing is short enough: least factor of a step, largest in all.
@@ -216,10 +216,10 @@ class _TimedHoming:
 
     def needed(self) -> float | None:
         """Return holds [s] that keep the tolerance; None if there are none."""
-        low, high = 0.0, _PATIENCE * self.longest
+        low, high = 0.0, _LONGEST_HOLD * self.longest
 
         def misses(seconds: float) -> bool:
-            return self.left(*self._few(self.path(seconds)))[1] > _ROUGHLY * self.tolerance
+            return self.left(*self._few(self.path(seconds)))[1] > _ROUGH_ACCURACY * self.tolerance
 
         if not self.longest:
             return None
@@ -227,7 +227,7 @@ class _TimedHoming:
             return 0.0
         if misses(high):
             return None
-        while high - low > _NEARLY * high:
+        while high - low > _HOLD_TOLERANCE * high:
             middle = 0.5 * (low + high)
             low, high = (middle, high) if misses(middle) else (low, middle)
         return high
@@ -278,18 +278,18 @@ def branch_seconds(actuator: Actuator, otherwise: float = 0.5 / Sampling().frequ
     seconds = _BRANCH * float(times.max()) if times.size else otherwise
     if actuator.dynamics is not None:
         seconds = max(seconds, _PERIODS / actuator.dynamics.frequency)
-    return max(seconds, _RESTS * actuator.lag)
+    return max(seconds, _REST_TIME_CONSTANTS * actuator.lag)
 
 
 def _rest_seconds(actuator: Actuator) -> float:
     """Return the time [s] after which a mass and a lag are at rest."""
-    seconds, dynamics = _RESTS * actuator.lag, actuator.dynamics
+    seconds, dynamics = _REST_TIME_CONSTANTS * actuator.lag, actuator.dynamics
     if dynamics is None or not dynamics.damping:
         return seconds
     # Beyond critical damping the slower of two rates counts.
     zeta = dynamics.damping
     rate = dynamics.omega * (zeta if zeta <= 1 else zeta - np.sqrt(zeta**2 - 1))
-    return max(seconds, _RESTS / float(rate))
+    return max(seconds, _REST_TIME_CONSTANTS / float(rate))
 
 
 def _on_major_loop(actuator: Actuator, voltage: float, side: int) -> State:

@@ -25,7 +25,7 @@ from dehyst.model import Actuator, State
 from dehyst.waveforms import ScanPath, positive
 
 # A drift that more cycles do not reduce to this part does not settle; part of the tolerance that creep may use.
-_FALLS, _SAFE = 0.9, 0.95
+_SETTLING_RATIO, _CREEP_SHARE = 0.9, 0.95
 # Largest drift of a repeated cycle, as a part of the stroke.
 _TOLERANCE = 1e-4
 # Number of cycle counts that are tried.
@@ -144,7 +144,7 @@ def wave_table(
         task.begin()
     while True:
         table, more = _last_cycle(task, path, count, least)
-        if cycles is not None or not more or table.error > _FALLS * last:
+        if cycles is not None or not more or table.error > _SETTLING_RATIO * last:
             plan = task.plan()
             return replace(table, plan=plan, warnings=(*plan.warnings, *table.warnings))
         count, last, way = count + more, table.error, task.parts[0].way
@@ -183,7 +183,7 @@ def _last_cycle(task: Task, path: ScanPath, count: int, least: float) -> tuple[W
         left = creep.gains * (states[3].displacement_creep - states[2].displacement_creep) / np.expm1(-rates)
     error = max(float(np.abs(played).max()), float(np.abs(played[-1] + left.sum()).max()))
     counts = np.unique(np.geomspace(1, max(MOST_ROWS // size - count, 1), _COUNTS).astype(np.int64))
-    enough = np.abs(np.exp(-np.outer(counts, rates)) @ left) <= _SAFE * least
+    enough = np.abs(np.exp(-np.outer(counts, rates)) @ left) <= _CREEP_SHARE * least
     more = int(counts[np.argmax(enough)]) if error > least and enough.any() else 0
     warnings: tuple[str, ...] = ()
     if error > least:
