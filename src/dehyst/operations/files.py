@@ -40,7 +40,7 @@ def columns_in(columns: Columns, table: Table, other: Table | None = None) -> Co
 
 
 def clock_of(table: Table, columns: Columns) -> dict[str, Array]:
-    """Return the time of a table as a column; nothing if it has none."""
+    """Return the time of a table as a column; empty if it has no time."""
     if columns.time is None and not table.fitting("time"):
         return {}
     # A copy, so that the other columns of the file need not stay in memory.

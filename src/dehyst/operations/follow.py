@@ -82,7 +82,7 @@ def follow(
         bounds = _bounds(run, known, instrument, allowed, slews)
         played = min(rate, HIGHEST_RATE) if feedback else played_rate(instrument, rate)
         if abs(played / rate - 1) > _RATES:
-            run.note(f"played at {played:.6g} Hz in place of {rate:.6g}, as {instrument.name} can, in the same time")
+            run.note(f"played at {played:.6g} Hz, as {instrument.name} allows, in place of {rate:.6g} Hz")
             at, rows = np.arange(0, (len(wanted) - 1) * played / rate + _RATES) * rate / played, np.arange(len(wanted))
             wanted = np.column_stack([np.interp(at, rows, column) for column in wanted.T])
             warmth = np.interp(at, rows, warmth) if isinstance(warmth, np.ndarray) else warmth
@@ -107,7 +107,7 @@ def follow(
 def _bounds(
     run: Run, known: AxesModel, rig: AbstractRig, allowed: Sequence[Limits], slews: Sequence[float | None]
 ) -> list[VoltageLimits]:
-    """Return the limits of each axis; note what is narrower than given."""
+    """Return the limits of each axis; note limits that are narrower than given."""
     if len(rig.axes) != len(known.axes):
         names = ", ".join(rig.axes)
         raise RigError(f"{rig.name}: has the axes {names}, the model {', '.join(known.axes)}; give the rig's model")

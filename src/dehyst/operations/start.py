@@ -1,4 +1,4 @@
-"""The initial state of a model: as given, its uncertainty, and what to do before a file is played."""
+"""The initial state of a model: how it is given, its uncertainty, and what to do before a file is played."""
 
 from __future__ import annotations
 

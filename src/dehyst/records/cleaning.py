@@ -43,7 +43,7 @@ _TURN_WITHIN, _SEARCHED = 400, 4096
 _NEXT_TURN = 2.5
 # A ring ends below this part of the range, or below the noise; at most, it lasts this multiple of its visible part.
 _FADED, _LONGEST_RING = 5e-4, 3.0
-# An overshoot without swings ends after this number of half-lives; number of samples whose mean is a level.
+# An overshoot without swings ends after this number of half-lives; samples averaged for a level beside it.
 _HALF_LIVES, _AVERAGED = 8, 8
 # Least number of samples of a record that shows excursions; largest numbers of samples of a glitch and of a spike;
 # least size of a spike; largest part of a record that can be spikes.
@@ -267,7 +267,7 @@ def _excursions(values: Array, other: Array, least: float, *, ends: bool = False
 
 
 class _Signals(NamedTuple):
-    """Voltage and displacement (n,), and what counts as large in them.
+    """Voltage and displacement (n,), and the sizes that count as large in them.
 
     `least`, `sensor`: largest voltage and displacement that noise explains; `gain`: displacement per volt; `lag`:
     longest lag in samples; `span`: range of `v`; `longest`, `widest`: most samples of an excursion; `way`: 1 if `y`

@@ -182,7 +182,7 @@ class Columns:
 
     @classmethod
     def of(cls, given: Columns | str | None) -> Columns:
-        """Return columns that are given as such, as their text, or not at all."""
+        """Return the columns from Columns, from a text, or from None."""
         if isinstance(given, str):
             return cls.parse(given)
         if isinstance(given, Columns | None):

@@ -215,7 +215,7 @@ def _crossings(time: Array, voltage: Array, z: Array, turns: NDArray[np.intp], l
     short = np.append(raw.way < _TWICE * raw.usual, [False] * 2)
     for j, (first, last, place) in enumerate(zip(before.tolist(), after.tolist(), places.tolist(), strict=True)):
         if kind == "grating":
-            # The height of a line beside the turn does not show the turn, a short way does.
+            # A line beside the turn has full height: a short way shows the turn instead.
             places[j] = place + 1 if short[place] else place - 1 if place > 1 and short[place - 2] else place
             continue
         among = np.arange(first, last + 1 + short[last])

@@ -177,8 +177,8 @@ def _reasons(record: Record) -> Iterator[str]:
     least = max(noise_span(record.displacement), 1e-12 * float(np.abs(record.displacement).max()), loops.LEAST_STROKE)
     if record.stroke <= least:
         yield (
-            f"the displacement is constant but for noise: its stroke, {record.stroke:.3g} m, is no more than the range "
-            f"of {len(record)} samples of noise of {record.noise:.3g} m; check the sensor and the column"
+            f"the displacement is constant except for noise: its stroke, {record.stroke:.3g} m, is no more than the "
+            f"range of {len(record)} samples of noise of {record.noise:.3g} m; check the sensor and the column"
         )
         return
     if words := other_unit(record):

@@ -127,7 +127,7 @@ class Table:
         if steps.size and steps.min() > 0 and away > 1 / rate:
             got = f"{rate:g} Hz, but the time of {self.source} has steps of {float(np.median(steps)):.4g} s, or gaps"
             raise FileFormatError(argument="rate", got=got, need="the rate of that time, or none")
-        remarks = (f"The time is that of the rate, not of {listed(left)}.",) if left else ()
+        remarks = (f"The time is computed from the rate, not read from {listed(left)}.",) if left else ()
         return replace(self, columns=(clock, *others), remarks=(*self.remarks, *remarks))
 
     def select(self, quantity: str, wanted: str | None = None) -> Selected:
@@ -143,7 +143,7 @@ class Table:
             raise self._not_one(quantity, entry.name, fits)
         (column,) = fits
         unit, name = entry.unit or column.parts[1], f"column '{shortened(column.name)}'"
-        # The record refuses overflow and NaN, with the row.
+        # The record refuses overflow and NaN later, and names the row.
         with np.errstate(all="ignore"):
             if fault := _fault(quantity, column, entry):
                 raise ColumnError(self.source, quantity, f"{name}{fault[0]}", fault[1], column)

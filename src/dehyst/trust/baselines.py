@@ -161,7 +161,7 @@ class TwoBranches(AbstractBaseline):
 
     @cached_property
     def _columns(self) -> tuple[Array, Array, Array]:
-        """Voltage, rising and falling branch with a far place on either side, so that the branches do not cross."""
+        """Voltage, rising and falling branch extended far on both sides, so that the branches do not cross."""
         span = float(np.ptp(self.voltage))
         slope = (self.falling[-1] - self.rising[0]) / span
         steps = (span, slope * span, slope * span)

@@ -9,8 +9,8 @@ falls with the distance in voltage and in h, and its size grows with the change 
 the columns say. Constants were chosen on aged stages by other mechanisms: `benchmarks/ageing.py`.
 
 The result is the smallest set of changes that leaves all others insignificant. If several sets are equally small, the
-changes that all of them contain are sure. The rest, with a sure one that is not significant by itself, are one change,
-because the record cannot separate them. An error that is left beyond the promise is a change of shape.
+changes that all of them contain are sure. The rest, and any sure change that is not significant by itself, are stated
+as one change, because the record cannot separate them. An error that is left beyond the promise is a change of shape.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ _DEPENDENT, _SMALL = 1e-6, 1e-5
 _EARLY = 0.1
 # Names of the slow changes (a record shows only one of them), and of the changes that an update learns.
 SLOW, LEARNT = ("creep", "drift"), ("gain", "width", "shape")
-# Factor and unit of each change in messages.
 _AND = " and "
+# Factor and unit of each change in messages.
 _SHOWN = {"gain": (100.0, "%"), "width": (100.0, "%"), "lag": (1e3, "ms")}
 
 
