@@ -172,7 +172,7 @@ def calibrate(
 
 
 def _recorded(folder: Path) -> int:
-    """Whole lines of samples of a record that is being written."""
+    """Return the number of complete lines of samples in the records of a folder."""
     return sum(path.read_bytes().count(b"\n") - 2 for path in (folder / "records").glob("*.csv"))
 
 

@@ -80,7 +80,7 @@ _left = _PORTS[1:]
 
 
 def port():
-    """A port for a server, which the tests' Channel Access looks at."""
+    """A port for a server that the tests' Channel Access searches."""
     return _left.pop(0)
 
 

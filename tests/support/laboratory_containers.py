@@ -16,7 +16,7 @@ import scipy.io
 from laboratory_files import FILES, UM, N, T, V, Y, rows
 
 Writer = Callable[[Path], None]
-# A small actuator, whose stroke in nm is that of a large one in um.
+# A small actuator: its stroke in nm is the same number as the stroke of a large actuator in um.
 NM = UM * 25
 SECONDS = "time_s,voltage_V,displacement_um"
 

@@ -8,7 +8,7 @@ import numpy as np
 
 
 def line(x, knots, values):
-    """Any piecewise-linear curve, continued linearly, at one place."""
+    """The value of a piecewise-linear curve, continued linearly, at a place."""
     j = min(max(int(np.searchsorted(knots, x)) - 1, 0), len(knots) - 2)
     return values[j] + (x - knots[j]) * (values[j + 1] - values[j]) / (knots[j + 1] - knots[j])
 

@@ -50,7 +50,7 @@ def table(
 
 
 def with_lines(head: str, body: str, lines: dict[int, str], lost: bool = False) -> Callable[[Path], None]:
-    """A writer of a table with lines before these, or in place of them if they are `lost`; the header is line 1."""
+    """A writer of a table with more `lines`, each before its number, or if `lost` in its place; the header is 1."""
 
     def write(path: Path) -> None:
         text = [head, *body.strip().split("\n")]

@@ -10,7 +10,7 @@ PLAYS = 60
 
 
 def record_loops():
-    """Return records for training and validation, with turning points anywhere in those for training."""
+    """Return a record for training, with many different turning points, and a record for validation."""
     truth, drive = PlayActuator(plays=PLAYS), Sampling(sample_rate=4.0)
     falling = [v for top in np.linspace(1, 1 / 6, 6) * truth.highest for v in (top, 0.0)]
     inner = [0.64 * truth.highest, 50.0, 0.41 * truth.highest, 10.0, 0.9 * truth.highest, 0.0]

@@ -38,7 +38,7 @@ class Served:
 
 @contextmanager
 def served(folder, *options, browser=None):
-    """Serve a workbench; `browser`: a program that it opens the page with."""
+    """Serve a workbench; `browser`: a program that opens the page."""
     page = ["--no-browser"] if browser is None else []
     process = subprocess.Popen(
         [*DEHYST, "workbench", str(folder), *page, "--port", "0", *options],

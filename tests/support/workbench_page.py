@@ -13,7 +13,7 @@ FLAGS = [
         *("disable-background-networking", "disable-component-update", "disable-sync"),
     )
 ]
-# Milliseconds that anything may take on a loaded machine.
+# Longest time [ms] of an action on a loaded machine.
 PATIENCE = 180_000
 
 

@@ -29,7 +29,7 @@ class PlannedRun:
 
     `wanted`: readings of the sensor [m] at each sample of the `excitation`, (n,) or (n, axes); NaN during the homing.
     `begin`: first sample of the path, after the homing and the way to the path. `stroke`: stroke of the major loop of
-    each axis [m]. `warnings`: sentences on where the voltage could not follow.
+    each axis [m]. `warnings`: sentences on voltages that could not follow.
     """
 
     wanted: Array
@@ -40,7 +40,7 @@ class PlannedRun:
 
 
 class _Homed(NamedTuple):
-    """What is known after the next homing, as sensor readings [m] of each axis (axes,).
+    """The result of simulating the next homing, as sensor readings [m] of each axis (axes,).
 
     `low`: with all axes at their lowest voltage. `stroke`: of the major loop. `wanted`: way to the path, and path
     (n, axes). `states` of the actuators, and zeros of the sensors, `zero`.
@@ -100,7 +100,7 @@ class PathPlanner:
         return self._run("compensated", homed, plan.voltage[plan.first :].reshape(path.shape), plan.warnings)
 
     def _homed(self, model: Actuator | Stage, before: Sequence[Record]) -> _Homed:
-        """Return what the records `before` show about the next homing."""
+        """Simulate the next homing after the records `before`."""
         stage = model if isinstance(model, Stage) else Stage((model,))
         time, voltage, displacement, warmth = _joined(before)
         starts = [beginning(actuator, voltage[:, j]) for j, actuator in enumerate(stage.actuators)]

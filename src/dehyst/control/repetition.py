@@ -222,7 +222,7 @@ class Repetition:
         return table.astype(np.float64)
 
     def _improve(self, cycle: _Cycle, error: Array, gap: int) -> bool:
-        """Judge a cycle by its error, and correct the next one; return whether it learnt."""
+        """Judge a cycle by its error, and correct the next one; return whether a step was learnt."""
         spectrum = np.fft.rfft(error, axis=0)
         size = np.abs(spectrum)
         # The upper harmonics are noise alone; their amplitudes have a Rayleigh distribution with this median.

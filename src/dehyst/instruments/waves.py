@@ -226,7 +226,7 @@ def arriving(
         for output, column in zip(outputs, columns_of(sent), strict=True):
             output.plays(column, rate)
         steepest = np.abs(np.diff(sent, axis=0)).max(axis=0, initial=0.0)
-        # Closed before the retreat: what a driver does at the end of a wave must not come after it.
+        # Close the batches before the retreat: the actions of a driver at the end of a wave must not follow it.
         with closing(_batches(rig, partial(waves, sent, rate), _PATIENCE + 2 * len(sent) / rate)) as batches:
             for batch in batches:
                 samples = admitted(rig, batch, sent, count, after)

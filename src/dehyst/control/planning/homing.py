@@ -166,7 +166,7 @@ class _TimedHoming:
         self._cycle = self._few(self.sampling.branches(self.turns))
 
     def homing(self, within: float | None) -> Homing:
-        """Return the shortest homing, or one that takes no longer than `within` [s] if it can be so fast."""
+        """Return the shortest homing, or if possible a homing that takes no longer than `within` [s]."""
         start = self.start
         known, spread = self.left(np.array([start]), np.zeros(1))
         if spread <= self.tolerance:
@@ -183,7 +183,7 @@ class _TimedHoming:
         return Homing(self.turns, state, spread <= self.tolerance, remarks, excitation, spread)
 
     def shortened(self, within: float) -> tuple[float, Excitation]:
-        """Return holds [s] and voltage of a homing that takes no longer than `within` [s], or is as fast as it can."""
+        """Return holds [s] and voltage of a homing that takes at most `within` [s], or is as fast as possible."""
         excitation = self.sampling.play("homing", self.path(0.0))
         if excitation.duration <= within:
             wait = (within - excitation.duration) / max(1, len(self.path(math.inf)) - len(self.path(0.0)))
@@ -200,7 +200,7 @@ class _TimedHoming:
         """Yield remarks on a homing with holds [s] that leaves a `spread` [m]."""
         reasons = time_dependence(self.actuator)
         if spread > self.tolerance:
-            remedy = "no hold suffices within these limits; wider limits may, or a larger tolerance"
+            remedy = "no hold suffices within these limits; try wider limits or a larger tolerance"
             if (needed := self.needed()) is not None:
                 remedy = f"holds of {needed:.3g} s at both limits instead of {wait:.3g} s would suffice"
             stroke, least = stroke_of(self.actuator), self.tolerance

@@ -306,7 +306,7 @@ class Task:
             self.follow()
 
     def home(self, *, again: bool) -> None:
-        """Follow the path after homings; `again`: ignore a given start that is not known, and home too."""
+        """Follow the path after homings; `again`: home also if a start is given that is not a known state."""
         for part in self.parts:
             known = None if again and part.start and not part.start.known else part.start
             part.way = stand(part.loop, part.past, known, part.present, part.first, near=False)

@@ -164,7 +164,7 @@ class StartError:
         return self.highest - self.lowest
 
     def left_of(self, expected: Array) -> Array:
-        """Return the largest distance (n,) from an `expected` displacement (n,), apart from a constant [m]."""
+        """Return the largest distance (n,) from an `expected` displacement (n,), without its constant part [m]."""
         found = np.zeros_like(expected)
         for end in (self.lowest, self.highest):
             way = end - expected
