@@ -45,8 +45,8 @@ _FOR_VOLTAGES = ("SVA", "VOL?", "POS?", "ERR?")
 class WaveTraits(NamedTuple):
     """Properties of a controller that plays and records waves.
 
-    `servo_period` [s]; waves are played and recorded in multiples of it. `longest`: size [samples] of a wave table or
-    its recorder tables. `options`: numbers of DRC of position and voltage. `tables`: number of recorder tables.
+    `servo_period` [s]; waves are played and recorded in multiples of it. `longest`: largest number of samples of a
+    wave. `options`: numbers of DRC of position and voltage. `tables`: number of recorder tables.
     """
 
     servo_period: float
