@@ -123,8 +123,9 @@ def begin_words(actuator: Actuator, path: PathPlan, limits: Limits, present: flo
         place = limits if present is None else (present, present)
         return start_words(actuator, path.start, path.start.within(actuator, place))
     seconds = "" if path.time is None else f" in {path.homing.played.duration:.4g} s"
-    samples = f"{counted(path.first, 'sample')}, each row has its time"
-    return f"(homed first from {_volts(actuator, path.homing.turns[0])}{seconds}; {samples})"
+    begins = f"the path begins after {counted(path.first, 'sample')}"
+    begins += "" if path.seconds is None else f", at {path.seconds:.4g} s"
+    return f"(homed first from {_volts(actuator, path.homing.turns[0])}{seconds}; {begins})"
 
 
 def open_start(path: PathPlan) -> list[str]:
