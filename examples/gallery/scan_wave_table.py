@@ -28,7 +28,7 @@ print(f"{table.cycles} cycle of start-up, then the table is steady to {1e9 * tab
 # Play the plan, and then the cycle twice, on the stage: the lines are straight.
 voltage = np.concatenate([plan.voltage[:-1], cycle.voltage, cycle.voltage])
 wanted = np.concatenate([plan.displacement[:-1], cycle.displacement, cycle.displacement])
-time = np.append(plan.time[:-1], plan.time[-1] + np.arange(2 * len(cycle)) / table.cycle.sample_rate)
+time = np.append(plan.time[:-1], plan.time[-1] + np.arange(2 * len(cycle)) / table.sample_rate)
 reached = stage.play(voltage, measured=False)
 figure, (above, below) = plt.subplots(2, 1, figsize=(8, 6), sharex=True)
 steady = voltage.size - 3 * len(cycle)

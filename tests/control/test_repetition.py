@@ -49,13 +49,15 @@ def test_learning_reduces_the_error_to_the_noise(late):
     assert np.abs(life.repetition.correction).max() <= life.repetition.bound
 
 
-def test_what_was_learnt_plays_again():
+def test_what_was_learnt_is_a_wave_table():
     life = Life()
     assert sum(life.cycle() for _ in range(10)) > 1
-    again = AGED.simulate(np.tile(life.repetition.voltage, 2), state=life.state, extrapolate=True).displacement
+    table = life.repetition.table()
+    assert len(table.cycle) == len(PATH) and table.settled and table.sample_rate == 1 / PERIOD
+    again = AGED.simulate(np.tile(table.cycle.voltage, 2), state=life.state, extrapolate=True).displacement
     assert np.abs(again - np.tile(PATH, 2))[len(PATH) :].max() < 10 * NOISE
     with pytest.raises(ModelError, match="nothing was learnt"):
-        _ = Life().repetition.voltage
+        Life().repetition.table()
 
 
 def test_a_cycle_of_a_slow_sensor_is_learnt_and_one_with_a_gap_is_not():
@@ -154,7 +156,7 @@ def test_axes_of_a_stage_are_learnt_together():
         errors.append(np.abs(moved - path).max())
         repetition.learn(moved)
     assert errors[-1] < 0.2 * errors[0]
-    assert repetition.voltage.shape == (250, 2)
+    assert [len(table.cycle) for table in repetition.table()] == [250, 250]
 
 
 def test_a_wrong_argument_of_a_repetition_is_named():

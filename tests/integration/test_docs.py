@@ -326,7 +326,7 @@ def test_the_code_for_the_browser_runs(tmp_path, monkeypatch):
     assert names["feedback"].believed and abs(names["feedback"].correction) < 1e-3 * plain_records.STROKE
     repetition = names["repetition"]
     assert repetition.believed and repetition.errors[-1] <= repetition.errors[0] < 1e-2 * plain_records.STROKE
-    assert len(names["voltage"]) == len(names["wanted"])
+    assert len(names["table"].cycle) == len(names["wanted"])
     written = []
 
     def write(voltage):

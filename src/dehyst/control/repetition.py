@@ -13,6 +13,7 @@ from dehyst._types import Array
 from dehyst._validation import FARTHEST, plain
 from dehyst.control.compensator import Compensator
 from dehyst.control.limits import SensorFault, sensor_bound, warn_of_sensor
+from dehyst.control.planning.wave_table import Cycle, WaveTable
 from dehyst.model import Actuator, State, mechanical_response
 
 # Part of the error that one cycle corrects.
@@ -202,15 +203,21 @@ class Repetition:
         self.errors.append(cycle.rms)
         return self._improve(cycle, error, max(gaps))
 
-    @property
-    def voltage(self) -> Array:
-        """Voltages (n,) or (n, axes) [V] of the best cycle, to play again and again after cycles of this repetition.
+    def table(self) -> WaveTable | tuple[WaveTable, ...]:
+        """Return the best cycle as a wave table to play, one for each axis of a stage.
 
-        Raise `ModelError` if no cycle has been complete.
+        Its start-up is empty: it follows cycles of this repetition, or a wave table of the same path. Raise
+        `ModelError` if no cycle has been complete.
         """
         if self._best is None:
             raise ModelError("nothing was learnt: no cycle was complete", hint="call next() and learn() first")
-        return self._best.voltage[:, 0] if self._single else self._best.voltage
+        best, rate = self._best, 1 / (self.compensator.period or 1.0)
+        tables = []
+        for j in range(self.path.shape[1]):
+            wanted, measured = self.path[:, j] / self._unit, best.measured[:, j] / self._unit
+            cycle, error = Cycle(best.voltage[:, j], wanted, measured, rate), float(np.abs(wanted - measured).max())
+            tables.append(WaveTable(cycle, error=error, tolerance=error, state=best.states[j]))
+        return tables[0] if self._single else tuple(tables)
 
     def _samples(self, values: ArrayLike, what: str) -> Array:
         """Return samples (n, axes) that may be NaN."""

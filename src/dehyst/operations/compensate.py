@@ -112,7 +112,7 @@ def compensate(
     if found is not None:
         made |= {"table": str(table), "settled": found.settled, "error_um": found.error * 1e6}
         made |= {"start_up_cycles": found.cycles, "cycle_samples": len(found.cycle)}
-        made |= {"sample_rate_Hz": found.cycle.sample_rate, "frequency_Hz": found.cycle.sample_rate / len(found.cycle)}
+        made |= {"sample_rate_Hz": found.sample_rate, "frequency_Hz": found.sample_rate / len(found.cycle)}
     return _answer(known, axes, urgent, remarks, made, [*files(Picture=plot), *kept], found)
 
 

@@ -58,9 +58,9 @@ class WaveTable:
     ----------
     cycle : Cycle
         One period in its steady cycle.
-    plan : PathPlan
+    plan : PathPlan or None
         The plan of homing, way, cycles of start-up and one closed cycle: play it without its last sample, and then the
-        cycle. Its promise is that of the table.
+        cycle. None if only the cycle is known. Its promise is that of the table.
     cycles : int
         Cycles in the start-up, after which the cycle may be played.
     error : float
@@ -90,6 +90,11 @@ class WaveTable:
     def settled(self) -> bool:
         """Whether the error is within the tolerance."""
         return self.error <= self.tolerance
+
+    @property
+    def sample_rate(self) -> float:
+        """Sample rate [Hz] of start-up and cycle, and of a homing that is not long."""
+        return self.cycle.sample_rate
 
 
 def wave_table(
