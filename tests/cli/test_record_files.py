@@ -132,3 +132,11 @@ def test_an_unreachable_path_names_the_range_and_the_option(far):
     path = table.columns[table.names.index("phase")].data == 2
     wanted = read_table("path.csv").column("displacement")
     assert table.column("displacement")[path] == pytest.approx(wanted - 119e-6, abs=1e-12)
+
+
+def test_columns_are_typed_once(monitor):
+    columns = "voltage=Monitor [mV]*100, displacement=Sensor [V]*10 um/V"
+    assert run("show", "monitor.csv", "--columns", columns, "--save", "kept.txt").exit_code == 0
+    first, second = (run("show", "monitor.csv", "--columns", text, "--json") for text in (columns, "@kept.txt"))
+    assert first.exit_code == 0 and first.stdout == second.stdout
+    assert run("show", "monitor.csv", "--columns", columns, "--save", "kept.txt").exit_code == 2

@@ -112,13 +112,15 @@ NO_COLUMNS = {
     "voltage=a*1e999": "columns",
     "displacement=a*fringe 3 V": "columns",
     "displacement=a*grating -3 um": "columns",
+    "@absent.txt": "",
     3: "columns",
     ("voltage",): "columns",
 }
 
 
 @pytest.mark.parametrize("text", NO_COLUMNS)
-def test_a_malformed_text_of_columns_is_refused(text):
+def test_a_malformed_text_of_columns_is_refused(text, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(FileFormatError) as caught:
         Columns.of(text)
     assert caught.value.argument == NO_COLUMNS[text]
@@ -133,9 +135,12 @@ def test_a_malformed_text_of_columns_is_refused(text):
         Columns(axes={"x": "vx_V:x_um", "y": "vy*2:y:nm*-1 um/um"}, temperature="4:C"),
     ],
 )
-def test_a_printed_text_of_columns_is_read_again(columns):
+def test_a_printed_text_of_columns_is_read_again(columns, tmp_path):
     assert Columns.parse(str(columns)) == columns
     assert set(columns.entries()) <= {part.name for part in fields(columns)} | {"x", "y"}
+    if columns.entries():
+        columns.save(tmp_path / "columns.txt")
+        assert Columns.parse(f"@{tmp_path / 'columns.txt'}") == columns
 
 
 # Header, columns, and what is proposed: no text, or its entries.

@@ -307,7 +307,7 @@ async def test_a_refused_operation_does_not_begin(stage):
             stage.session.identify({"train": entry.train, "options": options})
     record = stage.session.add_record("uploads/b.csv", "b.csv")
     await stage.next(Finished(SHOWN))
-    for columns in ("voltage", "output=x", "rate=fast", "join=../secret.csv"):
+    for columns in ("voltage", "output=x", "rate=fast", "join=../secret.csv", "@secret.txt"):
         with pytest.raises(DehystError):
             stage.session.read_record(record.id, columns)
     assert len(stage.session.jobs.entries) == before + 1

@@ -32,6 +32,7 @@ def show(
     file: Path = argument(),
     output: Path | None = output("Write the record here, in s, V and um (.csv) or m (.npz).", OUTPUT, _of_record),
     columns: Columns = option(Columns.about, AS_COLUMNS, _of_record, default=AS_FOUND),
+    save: Path | None = option("Write the columns here as text, for --columns @FILE.", OUTPUT, _of_record),
 ) -> Result:
     """Print how a FILE is understood: columns, units, sample rate, cycles and problems.
 
@@ -55,9 +56,11 @@ def show(
     axes = {axis: _AxisView(record.axis(axis), own[axis], axis) for axis in record.axes or ("",)}
     if output is not None:
         write_record(output, record)
+    if save is not None:
+        columns.save(save)
     fields = {axis: {**view.fields(), "file_columns": file_columns} for axis, view in axes.items()}
     lines = [line for view in axes.values() for line in view.lines()]
-    return Result(fields if record.axes else fields[""], [*lines, *files(Record=output)])
+    return Result(fields if record.axes else fields[""], [*lines, *files(Record=output, Columns=save)])
 
 
 def _span(values: Array) -> list[float]:

@@ -7,12 +7,13 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from math import inf, isfinite
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
 from dehyst._errors import FileFormatError
-from dehyst._io import PathLike, path_of
+from dehyst._io import PathLike, path_of, reading, write_atomically
 from dehyst._types import Array
 from dehyst._units import FACTORS, in_si, quantity_of, symbol_of
 from dehyst._validation import Numbers, axis_names, choice
@@ -30,6 +31,8 @@ RECORD = (*_COLUMNS, "rate", "hold", "join", "decimal")
 VOLTAGE = tuple(key for key in RECORD if key not in ("displacement", "hold"))
 PATH = tuple(key for key in RECORD if key not in ("voltage", "hold"))
 _ABOVE_0 = Numbers(positive=True, optional=True, error=FileFormatError)
+# Longest file of columns [bytes].
+_LONGEST = 10_000
 
 
 class Scale(NamedTuple):
@@ -118,7 +121,7 @@ class Columns:
     """Columns of a file with their units and scales, and how the file is read.
 
     As text: entries with commas between them, ``time=Time:ms, voltage=Ch1*100, displacement=Sensor:V*10 um/V``. An
-    entry that holds a comma is in double quotes.
+    entry that holds a comma is in double quotes; ``@FILE`` is the text in a file.
 
     Parameters
     ----------
@@ -159,9 +162,9 @@ class Columns:
 
     metavar: ClassVar[str] = "TEXT"
     about: ClassVar[str] = (
-        "How files are read, as 'time=Time:ms, voltage=Ch1*100, displacement=Sensor:um'. Other keys: rate=HZ, "
-        "temperature=NAME:C, hold=sample, join=FILE, decimal=point|comma, and of several axes x=VOLTAGE:DISPLACEMENT; "
-        "default: columns are found by their names."
+        "How files are read, as 'time=Time:ms, voltage=Ch1*100, displacement=Sensor:um', or @FILE that `show --save` "
+        "wrote. Other keys: rate=HZ, temperature=NAME:C, hold=sample, join=FILE, decimal=point|comma, and of several "
+        "axes x=VOLTAGE:DISPLACEMENT; default: columns are found by their names."
     )
 
     def __post_init__(self) -> None:
@@ -193,6 +196,8 @@ class Columns:
     @classmethod
     def parse(cls, text: str) -> Self:
         """Return the columns that a text declares; raise `FileFormatError` if it declares none."""
+        if text.startswith("@"):
+            return cls.parse(_text_in(Path(text[1:])))
         found: dict[str, Any] = {"axes": {}}
         for key, value in entries_of(text).items():
             if key in RECORD:
@@ -204,6 +209,10 @@ class Columns:
     def __str__(self) -> str:
         """Return the text, which `parse` reads."""
         return text_of(self.entries())
+
+    def save(self, path: PathLike) -> None:
+        """Write the text to a file, for ``@FILE``; raise `FileFormatError` if it cannot be written."""
+        write_atomically(path, f"{self}\n".encode())
 
     def demand(self, keys: Sequence[str], words: str, *, axes: bool = False) -> None:
         """Raise an error for keys without an effect; with `axes`, each axis states its own columns."""
@@ -276,3 +285,12 @@ def columns_of_axis(text: str) -> list[str]:
         else:
             found.append(part)
     return [part.strip() for part in found]
+
+
+def _text_in(path: Path) -> str:
+    """Return the text of a file that `Columns.save` wrote."""
+    with reading(path, "text", _LONGEST) as stream:
+        text = stream.read().decode("utf-8-sig").strip()
+    if text.startswith("@"):
+        raise FileFormatError(f"{path}: got no columns, need a file that show --columns ... --save FILE wrote")
+    return text

@@ -133,6 +133,8 @@ class WorkbenchSession:
             raise SessionError(f"{entry.name}: {users[0]} was identified from it; upload the file again instead")
         if self.jobs.running(entry.id):
             raise SessionError(f"{entry.name}: is being read; wait until this is done")
+        if columns.startswith("@"):
+            raise SessionError(f"columns: got {columns[:40]!r}, need a text of columns")
         known = Columns.parse(columns)
         known.demand([key for key in RECORD if key != "join"], "on the page", axes=bool(known.axes))
         if known.axes:
