@@ -197,7 +197,8 @@ class Columns:
     def parse(cls, text: str) -> Self:
         """Return the columns that a text declares; raise `FileFormatError` if it declares none."""
         if text.startswith("@"):
-            return cls.parse(_text_in(Path(text[1:])))
+            with reading(Path(text[1:]), "text", _LONGEST) as stream:
+                text = stream.read().decode("utf-8-sig").strip()
         found: dict[str, Any] = {"axes": {}}
         for key, value in entries_of(text).items():
             if key in RECORD:
@@ -285,12 +286,3 @@ def columns_of_axis(text: str) -> list[str]:
         else:
             found.append(part)
     return [part.strip() for part in found]
-
-
-def _text_in(path: Path) -> str:
-    """Return the text of a file that `Columns.save` wrote."""
-    with reading(path, "text", _LONGEST) as stream:
-        text = stream.read().decode("utf-8-sig").strip()
-    if text.startswith("@"):
-        raise FileFormatError(f"{path}: got no columns, need a file that show --columns ... --save FILE wrote")
-    return text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,10 +18,9 @@ from dehyst.records.signals import noise_span, resolution, runs, turning_points
 if TYPE_CHECKING:
     from dehyst.records.record import Record
 
-# Least number of events of a record, and of its longest branch; samples that are kept for each event, and in all.
-_FEWEST, _EACH, _MOST = 4, 100, 10_000
-# Samples are no farther apart than events, by this quantile of the distances of these.
-_NEAR = 0.05
+# Least number of events of a record, and of its longest branch; a longer record is thinned to this number of samples,
+# unless they would then be farther apart than events, by this quantile of the distances of events.
+_FEWEST, _MOST, _NEAR = 4, 10_000, 0.05
 # A crossing goes from minus to plus this part of the amplitude; an extreme lies among samples above the second part.
 _BAND, _TOP = 0.35, 0.6
 # Least part of its range by which a signal returns from an extreme; number of extremes whose median is a level.
@@ -76,13 +75,11 @@ def at_samples(time: Array, voltage: Array, event_time: ArrayLike, position: Arr
 def thinned(record: Record) -> Record:
     """Return a record of events with fewer samples, because nothing is measured between the events."""
     known = record.measured
-    wanted = 0 if known is None else min(_EACH * int(np.count_nonzero(known)), _MOST)
-    if known is None or len(record) < 2 * wanted:
+    if known is None or len(record) < 2 * _MOST or np.count_nonzero(known) < _FEWEST:
         return record
     # Events are near one another where the stage is fast.
-    apart = int(np.quantile(np.diff(np.flatnonzero(known)), _NEAR)) if wanted > _EACH else len(record)
-    every = max(min(len(record) // max(wanted, 1), apart), 1)
-    coarse = record[np.arange(0, len(record), every)]
+    apart = int(np.quantile(np.diff(np.flatnonzero(known)), _NEAR))
+    coarse = record[np.arange(0, len(record), max(min(len(record) // _MOST, apart), 1))]
     own = known & (record.time <= coarse.time[-1])
     y = at_samples(coarse.time, coarse.voltage, record.time[own], record.displacement[own])
     return replace(coarse, displacement=y, measured=~np.isnan(y))
@@ -96,8 +93,7 @@ def record_of_periodic(
 
     others: Any = {f"signal [{unit}]": signal}
     whole = Record(time, voltage, np.zeros(len(time)), name, others=others)
-    (channel,) = whole.others
-    when, where = counted_events(whole.time, whole.voltage, channel.values, period, kind)
+    when, where = counted_events(whole.time, whole.voltage, whole.others[0].values, period, kind)
     record = Record.from_events(time, voltage, when, where, name=name, units="m")
     with np.errstate(all="ignore"):
         way = np.nanmedian(np.abs(np.diff(np.interp(when, whole.time, whole.voltage)) / np.diff(where)))
@@ -265,8 +261,7 @@ def _refuse_lost_counts(
     if (fast := np.flatnonzero(steps > _STEP * half)).size:
         rate, slow = (steps / seconds)[fast].max() / (_STEP * half) * _SPARE, _STEP * half / seconds[fast] / _SPARE
         hint = f"sample at {digits(rate)} Hz, or drive at {digits(slow.min())} V/s at most"
-        apart = f"too few samples a period at {time[fast[0]]:.6g} s, {1e3 * seconds[fast[0]]:.3g} ms apart"
-        raise _refusal(apart, hint)
+        raise _refusal(f"too few samples at {time[fast[0]]:.6g} s, {1e3 * seconds[fast[0]]:.3g} ms apart", hint)
     beyond = time[np.abs(z) > _BEYOND]
     if beyond.size:
         demand(False, float(beyond[0]), float(beyond[-1]))

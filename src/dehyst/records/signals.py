@@ -270,9 +270,8 @@ def _speeds(time: Array, voltage: Array) -> tuple[Array, Array]:
 
 def counting(record: Record) -> Mask | None:
     """Return whether each sample counts in a fit or an error (n,): measured and not left out; None if all do."""
-    if not record.set_aside:
-        return record.measured
-    return usable(record) if record.measured is None else record.measured & usable(record)
+    known = record.measured
+    return known if not record.set_aside else usable(record) & (True if known is None else known)
 
 
 def usable(record: Record) -> Mask:
