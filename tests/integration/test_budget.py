@@ -16,7 +16,7 @@ FOUNDATION = "foundation"
 # Lines of Python of each room, everything counted: `__init__`, docstrings, empty lines.
 ROOMS = {
     "calibration": 1069,
-    "cli": 357,
+    "cli": 363,
     "control": 3489,
     "exports": 1265,
     "fleet": 310,
@@ -36,7 +36,7 @@ ROOMS = {
     "workbench": 2199,
 }
 HOUSE = {
-    "lines of Python": 36136,
+    "lines of Python": 36142,
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2700,

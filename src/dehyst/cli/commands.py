@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from difflib import get_close_matches
 from typing import Any
 
 try:
@@ -34,8 +35,6 @@ class Commands(click.Group):
         }
         # The only command of this room; the others are operations.
         self.journey["Try it"]["workbench"] = "All steps in a browser, with your records"
-        # Click suggests one of these names in the place of one that is mistyped.
-        self.commands = dict.fromkeys(name for entries in self.journey.values() for name in entries)  # type: ignore[assignment]
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands in the order of the journey."""
@@ -55,6 +54,13 @@ class Commands(click.Group):
         for heading, entries in self.journey.items():
             with formatter.section(heading):
                 formatter.write_dl([(name.ljust(width), words) for name, words in entries.items()])
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        """Find the command; suggest the nearest ones if there is none."""
+        names = self.list_commands(ctx)
+        if args[0] not in names and (near := get_close_matches(args[0], names)):
+            ctx.fail(f"No such command {args[0]!r}. Did you mean {' or '.join(map(repr, near))}?")
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Load and run a command; say by which signal it was stopped, and where this left the voltage."""
