@@ -129,3 +129,10 @@ def test_a_logarithmic_drift_is_subtracted(part):
     assert error.drift == pytest.approx(part * plain_records.STROKE, rel=0.25)
     assert error.largest_percent < 0.5
     assert error.rms_with_drift > 4 * error.rms
+
+
+def test_a_section_with_a_slower_rate_is_no_gap():
+    time = np.concatenate([np.arange(0, 20, 0.1), 20 + np.arange(0, 10, 0.01)])
+    record = Record(time, 50 + 40 * np.sin(time), 1e-6 * np.sin(time), name="two rates")
+    pieces, sentences = cleaning.split_at_gaps(record)
+    assert (len(pieces), sentences) == (1, [])

@@ -151,6 +151,8 @@ def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> 
     cycle, known_holes = cycle_time(record), holes or {}
     step = _STEP * float(np.median(np.abs(np.diff(record.voltage))))
     for i, length in gaps(record.time):
+        # Steps of one length in a row are a slower rate.
+        beside = np.diff(record.time[max(i - 1, 0) : i + 3])
         jump = abs(float(record.voltage[i + 1] - record.voltage[i]))
         hidden = known_holes.get(float(record.time[i]))
         if hidden is False:
@@ -161,7 +163,7 @@ def split_at_gaps(record: Record, holes: Mapping[float, bool] | None = None) -> 
         if hidden:
             cuts.append(i + 1)
             sentences.append(f"{where} may hide a reversal; the record was cut there.")
-        elif jump > step or length > _BRIEF * cycle:
+        elif (jump > step or length > _BRIEF * cycle) and np.sum(np.isclose(beside, length, rtol=1e-3)) < 2:
             sentences.append(f"{where} was bridged.")
     if len(sentences) > 5:
         sentences = [*sentences[:4], f"{record.name}: {len(sentences) - 4} more gaps, {len(cuts) - 1} cuts in all."]
