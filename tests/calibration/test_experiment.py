@@ -3,6 +3,7 @@
 import os
 import shutil
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -425,6 +426,41 @@ def test_records_that_were_set_aside_are_not_replaced(folder):
     RECORDS["empty"](folder)
     assert not go_on(folder, [aside / "look-3.csv"])
     assert (aside / "look.csv").read_text() == "first" and not (folder / "nowhere").exists()
+
+
+def test_an_unreadable_record_is_played_again(folder, monkeypatch):
+    """As another user than root: its file may not be read, but moved."""
+    real = Path.open
+
+    def refuse(path, mode="r", **options):
+        if path == folder / RECORD and mode == "rb":
+            raise PermissionError(13, "Permission denied")
+        return real(path, mode, **options)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "open", refuse)
+        with Session(folder, SimulatedRig(PlayActuator(plays=30)), ProgressListener()) as job:
+            assert job.stored("look", LOOK) is None
+    assert go_on(folder)
+
+
+def test_an_undamaged_record_is_kept(folder, base):
+    assert go_on(folder)
+    assert (folder / RECORD).read_bytes() == (base / RECORD).read_bytes()
+
+
+def test_a_copy_of_another_record_is_not_used(folder):
+    with Session(folder, SimulatedRig(PlayActuator(plays=30)), ProgressListener()) as job:
+        job.record(Excitations((VoltageLimits(0, 200),), 200.0).homing(), "homing")
+    shutil.copy(folder / "records" / "homing.csv", folder / RECORD)
+    assert not go_on(folder)
+
+
+def test_an_unknown_file_is_not_changed(folder):
+    path = folder / "records" / "notes.txt"
+    path.write_text("a,b\n1,2\n")
+    assert go_on(folder)
+    assert path.read_text() == "a,b\n1,2\n"
 
 
 # The folder
