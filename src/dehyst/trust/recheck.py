@@ -335,7 +335,9 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     least = _EFFECT_PART * goal / 100 * stroke
     known = Known(errors.zero, _doubt(actuator, record), own, prepared.noise, cycle, slow, stroke, least)
     unexplained = beyond_noise(judged, prepared.noise)
-    remarks = untested(actuator, promise, record.temperature)[promise is not None and bool(promise.unusable) :]
+    # The judgement itself says that a promise is too large to be of use.
+    useless = "" if promise is None else promise.unusable
+    remarks = [words for words in untested(actuator, promise, record.temperature) if words != useless]
     # Loops that are slow enough to show creep; a counted signal needs a small step of the voltage in each sample.
     pace, step = f"--frequency {1 / cycle:.3g} " * (cycle > 10), record.meta.get("step_V", 0.0)
     return Recheck(
