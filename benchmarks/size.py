@@ -133,8 +133,8 @@ def steps() -> list[dict[str, object]]:
         with tempfile.TemporaryDirectory() as work:
             folder = compiled_exports.written(Path(work) / "c", compensator, "float")
             swept = np.linspace(low, high, 500)
-            followed, _ = compiled_exports.instructions(folder, np.concatenate([swept, swept[::-1]]))
-            clamped, _ = compiled_exports.instructions(folder, [low - far, high + far] * 100)
+            _, followed = compiled_exports.emulated(folder, np.concatenate([swept, swept[::-1]]))
+            _, clamped = compiled_exports.emulated(folder, [low - far, high + far] * 100)
         row = {"structure": structure, "followed": float(np.median(followed)), "clamped": float(clamped.max())}
         found.append({key: round(value) if isinstance(value, float) else value for key, value in row.items()})
         print(found[-1], flush=True)

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import subprocess
 from dataclasses import fields, replace
 
 import compiled_exports
@@ -12,7 +11,6 @@ import pytest
 from command_line import run
 
 from dehyst.control import Compensator
-from dehyst.exports.firmware import SOURCES
 from dehyst.exports.targets import TARGETS, export
 from dehyst.model import (
     Actuator,
@@ -27,27 +25,6 @@ from dehyst.model import (
 )
 
 pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
-PROGRAM = r"""
-#include <stdio.h>
-#include "piezo.h"
-int main(void)
-{
-    static piezo p;
-    double wanted, degrees;
-    if (piezo_begin(&p) != DEHYST_OK) return 1;
-    while (scanf("%lf %lf", &wanted, &degrees) == 2) {
-#ifdef WARM
-        if (piezo_temperature(&p, degrees) != DEHYST_OK) return 2;
-#endif
-        printf("%.17g ", (double)piezo_step(&p, wanted));
-        printf("%.17g\n", (double)piezo_displacement(&p));
-    }
-#ifdef WARM
-    if (piezo_temperature(&p, 1000.0) != DEHYST_ERR_SIGN) return 3;
-#endif
-    return 0;
-}
-"""
 STEPS = """
 const compensator = new Compensator(module), degrees = read("degrees");
 const warm = (celsius) => {
@@ -105,21 +82,17 @@ BEGINNINGS = {
 }
 
 
-def by_c(folder, wanted, degrees, warm):
+def by_c(folder, wanted, degrees):
     compiled_exports.need("gcc")
-    assert ("piezo_temperature" in (folder / "piezo.h").read_text()) == warm
-    (folder / "run.c").write_text(PROGRAM)
-    command = ["gcc", "-O1", "-ffp-contract=off", *["-DWARM"] * warm, "-o", "run", "run.c", *SOURCES]
-    subprocess.run(command, cwd=folder, check=True)
-    given = "".join(f"{y!r} {celsius!r}\n" for y, celsius in zip(wanted.tolist(), degrees.tolist(), strict=True))
-    done = subprocess.run([folder / "run"], input=given, check=True, capture_output=True, text=True)
-    return done.stdout.split()
+    degrees = None if degrees is None else degrees[:, None]
+    return compiled_exports.played(folder, wanted, degrees, options=["-O1"])[:, :2]
 
 
-def by_node(path, wanted, degrees, warm):
-    taken = node_programs.node(path.parent, STEPS, wanted=wanted, degrees=degrees)
-    assert taken == f"{wanted.size if warm else 0} false"
-    return node_programs.column(path.parent, "answers").view(float)
+def by_node(path, wanted, degrees):
+    given = np.zeros(wanted.size) if degrees is None else degrees
+    taken = node_programs.node(path.parent, STEPS, wanted=wanted, degrees=given)
+    assert taken == f"{0 if degrees is None else wanted.size} false"
+    return node_programs.column(path.parent, "answers").view(float).reshape(-1, 2)
 
 
 # Voltages of an FMU are compared in tests/exports/test_fmu.py.
@@ -197,9 +170,8 @@ def compare(suffix, folder, **options):
     """Assert that an export, which leaves its compensator alone, has its voltages and displacements."""
     compensator, path = Compensator(**options, period=PERIOD), folder / f"stage{suffix}"
     export(compensator, path)
-    wanted, warm = wanted_of(compensator), compensator.actuator.thermal is not None
-    degrees = np.random.default_rng(6).uniform(10, 60, wanted.size)
-    got = np.array(RUNS[suffix](path, wanted, degrees, warm), dtype=float).reshape(-1, 2)
-    temperatures = degrees.tolist() if warm else [None] * wanted.size
-    rows = zip(wanted.tolist(), temperatures, strict=True)
-    assert np.array_equal(got, [(compensator.step(*row), compensator.displacement) for row in rows])
+    wanted = wanted_of(compensator)
+    warm = compensator.actuator.thermal is not None
+    degrees = np.random.default_rng(6).uniform(10, 60, wanted.size) if warm else None
+    expected = compiled_exports.answers(compensator, wanted, degrees)[:, :2]
+    assert RUNS[suffix](path, wanted, degrees).tobytes() == expected.tobytes()

@@ -1,4 +1,4 @@
-"""A compensator as C: the bits of Python here and on an emulated Cortex-M4, within stated bytes."""
+"""A compensator of an actuator or a stage as C: the bits of Python here and on a Cortex-M4, within stated bytes."""
 
 import errno
 import os
@@ -14,10 +14,10 @@ import numpy as np
 import places
 import plain_records
 import pytest
-from compiled_exports import CORTEX_M4, CORTEX_M4F, KINDS, STRICT, need, written
+from compiled_exports import CORTEX_M4, CORTEX_M4F, COUPLING, KINDS, STAGES, STRICT, need, written
 
 import dehyst
-from dehyst import Actuator, Compensator, FileFormatError, MaxwellSlip, ModelError, Spring
+from dehyst import Actuator, Compensator, FileFormatError, MaxwellSlip, ModelError, Spring, Stage
 from dehyst.exports import export
 from dehyst.exports.firmware import CONFIG, CORE, SOURCES, code
 from dehyst.exports.golden_trace import Call, golden_trace
@@ -37,12 +37,15 @@ def make(folder, *arguments):
 
 @cache
 def pythons(kind, samples):
-    """What Python answers to so many wishes, a hundred of them one by one."""
-    loop = KINDS[kind]()._clone()
-    voltages = np.array([loop.step(each) for each in compiled_exports.wishes(loop, samples).tolist()])
-    return compiled_exports.told(voltages, loop.clamps, every=samples // 100)
+    """Wishes, temperatures, and the answers of Python."""
+    loop = BOTH[kind]()
+    wanted, degrees = compiled_exports.wishes(loop, samples), None
+    if kind == "warm stage":
+        degrees = np.random.default_rng(6).uniform(10, 60, wanted.shape)
+    return wanted, degrees, compiled_exports.answers(loop, wanted, degrees)
 
 
+BOTH = KINDS | STAGES
 OPTIMISED = ["-O0"], ["-O2"], ["-O3"], ["-Os", "-flto"]
 # Wishes grow narrower over 3072 samples, and begin again.
 SOME = [
@@ -52,49 +55,55 @@ SOME = [
 MANY = [("plain", 4000), at_night("plain", 10**6)]
 
 
-@pytest.mark.parametrize(("kind", "compiler"), spanning(("plain", "slewing", "all", "moving"), ("gcc", "clang")))
+@pytest.mark.parametrize(
+    ("kind", "compiler"),
+    [*spanning(("plain", "slewing", "all", "moving"), ("gcc", "clang")), *((kind, "gcc") for kind in STAGES)],
+)
 @pytest.mark.parametrize("samples", [4000, at_night(10**5)])
 def test_random_samples_have_the_bits_of_python(tmp_path, kind, samples, compiler):
     if compiler == "clang" and shutil.which("clang") is None:
         pytest.skip("clang is not installed")
     need("gcc")
-    compensator = KINDS[kind]()
-    expected = pythons(kind, samples)
-    limited, slewed = (int(n) for n in expected[-1].split())
-    assert 0.005 * samples < limited + slewed < 0.999 * samples
-    folder = written(tmp_path / "c", compensator)
+    wanted, degrees, expected = pythons(kind, samples)
+    clamped = expected[-1, expected.shape[1] // 2 :].reshape(-1, 2).sum(axis=1)
+    assert np.all((0.005 * samples < clamped) & (clamped < 0.999 * samples))
+    folder = written(tmp_path / "c", BOTH[kind]())
     for options in OPTIMISED if NIGHTLY else OPTIMISED[:3:2] if kind == "plain" else OPTIMISED[2:3]:
-        got = compiled_exports.driven(
-            folder, compensator, samples, every=samples // 100, compiler=compiler, options=options
-        )
-        assert got == expected, options
+        got = compiled_exports.played(folder, wanted, degrees, compiler=compiler, options=options)
+        assert got.tobytes() == expected.tobytes(), options
 
 
 @pytest.mark.parametrize(("kind", "samples"), [*MANY, *SOME])
 def test_an_emulated_cortex_m4_has_the_bits_of_python(tmp_path, kind, samples):
     need("arm-none-eabi-gcc", "qemu-system-arm")
-    compensator = KINDS[kind]()
-    got = compiled_exports.emulated(written(tmp_path / "c", compensator), compensator, samples, every=samples // 100)
-    assert got == pythons(kind, samples)
+    wanted, _, expected = pythons(kind, samples)
+    got, _ = compiled_exports.emulated(written(tmp_path / "c", KINDS[kind]()), wanted)
+    assert got.tobytes() == expected.tobytes()
 
 
 @pytest.mark.parametrize(("kind", "samples"), [*MANY, *SOME])
 def test_floats_on_a_cortex_m4_are_those_of_this_computer(tmp_path, kind, samples):
     need("gcc", "arm-none-eabi-gcc", "qemu-system-arm")
-    compensator = KINDS[kind]()
-    folder = written(tmp_path / "c", compensator, "float")
-    here = compiled_exports.driven(folder, compensator, samples, every=samples // 100)
-    assert compiled_exports.emulated(folder, compensator, samples, every=samples // 100) == here
-    assert here != pythons(kind, samples)
+    wanted, _, expected = pythons(kind, samples)
+    folder = written(tmp_path / "c", KINDS[kind](), "float")
+    here = compiled_exports.played(folder, wanted)
+    assert compiled_exports.emulated(folder, wanted)[0].tobytes() == here.tobytes()
+    assert np.any(here != expected)
 
 
-@pytest.mark.parametrize(("kind", "number"), spanning([*KINDS], ["double", "float"]))
+# At night the steps of the largest model are counted on an emulated processor, too.
+REPLAYED = [*spanning([*KINDS], ["double", "float"]), *((kind, "double") for kind in STAGES)]
+
+
+@pytest.mark.parametrize(("kind", "number"), REPLAYED)
 def test_an_export_replays_the_trace_of_python(tmp_path, kind, number):
     need("gcc", "make")
-    status, said = make(export(KINDS[kind](), tmp_path / "c", number), "check", "symbols")
-    assert status == 0, said
-    assert "no symbol is needed from outside" in said
-    assert ("double: 0 of" if number == "double" else "float: largest error") in said
+    counted = ["worst"] * (NIGHTLY and kind == "wide stage")
+    status, printed = make(export(BOTH[kind](), tmp_path / "c", number), "check", "symbols", *counted)
+    assert status == 0, printed
+    assert (" instructions\n" in printed) == bool(counted)
+    assert "no symbol is needed from outside" in printed
+    assert ("double: 0 of" if number == "double" else "float: largest error") in printed
 
 
 def test_the_check_finds_a_wrong_number_and_a_wrong_number_type(tmp_path):
@@ -130,6 +139,19 @@ def test_the_trace_has_every_kind_of_call():
     steps = [row for row in trace.rows if row.what is Call.STEP]
     assert any(LOW < row.answer[0] < HIGH for row in steps)
     assert any(row.answer[0] in (LOW, HIGH) for row in steps)
+
+
+@pytest.mark.parametrize("kind", STAGES)
+def test_the_trace_clamps_none_some_and_all_of_the_axes(kind):
+    loop, patterns = STAGES[kind](), set()
+    rows = golden_trace(loop).rows
+    assert set(Call) == {row.what for row in rows}
+    for row in rows:
+        if row.what is Call.STEP:
+            before = np.sum(np.atleast_2d(loop.clamps), axis=1)
+            loop.step(row.given)
+            patterns.add(tuple(np.sum(np.atleast_2d(loop.clamps), axis=1) > before))
+    assert len(patterns) >= 2 ** len(loop.stage.axes)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -241,6 +263,28 @@ def test_an_export_with_another_name_compiles(tmp_path, name):
     compiled_exports.must_run(["g++", "-Wall", "-Werror", "-fsyntax-only", "-x", "c++", f"{name}.h"], folder)
 
 
+def test_a_stage_and_an_actuator_fit_into_one_firmware(tmp_path):
+    need("gcc")
+    compiled_exports.written(tmp_path, compiled_exports.plain_stage(), name="scanner")
+    compiled_exports.written(tmp_path, compiled_exports.plain(), name="focus")
+    (tmp_path / "both.c").write_text(
+        '#include "scanner.h"\n#include "focus.h"\nint main(void)\n{\n'
+        "    static scanner s;\n    static focus f;\n    return scanner_begin(&s) || focus_begin(&f);\n}\n"
+    )
+    compiled_exports.must_run(
+        ["gcc", *STRICT, *sorted(path.name for path in tmp_path.glob("*.c")), "-o", "both"], tmp_path
+    )
+    compiled_exports.must_run(["./both"], tmp_path)
+
+
+@pytest.mark.parametrize("axes", ["do 2 x.y", "x X x_step", *map(at_night, ["int step loop", "1 2 3"])])
+def test_axes_of_any_names_compile(axes, tmp_path):
+    need("gcc", "make")
+    stage = Stage(compiled_exports.plain_stage().stage.actuators, compiled_exports.COUPLING, tuple(axes.split()))
+    export(Compensator(stage, limits=[(0.0, 200.0)] * 3), tmp_path / "c", name="table")
+    assert make(tmp_path / "c", "check")[0] == 0
+
+
 def narrow(rho, knots):
     """A plain actuator whose numbers are nearly alike."""
     rho, knots = np.asarray(rho), np.asarray(knots)
@@ -269,8 +313,18 @@ def test_models_that_cannot_be_rounded_to_floats_are_refused(compensator):
         code(compensator, "float")
 
 
-@pytest.mark.parametrize(("given", "number"), [(creeping(), "double"), (creeping(period=1e-3), "half")])
-def test_creep_without_a_period_and_unknown_number_types_are_refused(given, number):
+@pytest.mark.parametrize(
+    ("given", "number"),
+    [
+        (creeping(), "double"),
+        (creeping(period=1e-3), "half"),
+        (
+            Compensator(Stage([creeping().actuator] * 2, COUPLING[:2, :2]), limits=[(0, 100)] * 2, period=1.0),
+            "double",
+        ),
+    ],
+)
+def test_creep_without_a_period_or_in_a_stage_and_unknown_number_types_are_refused(given, number):
     with pytest.raises(ModelError):
         code(given, number)
 
@@ -360,8 +414,8 @@ def test_the_instructions_of_a_step_are_bounded(tmp_path, kind):
     compensator = KINDS[kind]()
     folder = export(compensator, tmp_path / "c", "float")
     longest = int(re.search(r"(\d+) instructions", compiled_exports.must_run(["make", "-s", "worst"], folder))[1])
-    clamped, sent = compiled_exports.instructions(folder, adversary(compensator))
-    usual, _ = compiled_exports.instructions(folder, compiled_exports.wishes(compensator, 2000))
+    answers, clamped = compiled_exports.emulated(folder, adversary(compensator))
+    sent, usual = answers[:, 0], compiled_exports.emulated(folder, compiled_exports.wishes(compensator, 2000))[1]
     assert np.all((sent >= compensator.limits[0]) & (sent <= compensator.limits[1]))
     for side in (0, 1):
         assert np.ptp(clamped[100 + side :: 2]) <= 0.1 * clamped.max()

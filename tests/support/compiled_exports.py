@@ -9,7 +9,7 @@ import plain_records
 import pytest
 import structured_records
 
-from dehyst import Compensator, DisplacementCreep, Dynamics
+from dehyst import Compensator, DisplacementCreep, Dynamics, Stage, Thermal
 from dehyst.exports.firmware import code
 from dehyst.exports.naming import shipped
 from dehyst.model import turned
@@ -18,78 +18,82 @@ STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract
 CORTEX_M4 = ("-O2", "-mcpu=cortex-m4", "-mthumb")
 CORTEX_M4F = (*CORTEX_M4, "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
 LIMITS = (10.0, 150.0)
-SEED, MULTIPLIER, INCREMENT = 88172645463325252, 6364136223846793005, 1442695040888963407
-OFFSET, PRIME, WORD = 14695981039346656037, 1099511628211, 2**64 - 1
 
-# Both sides request the same displacements: jumps beyond the whole reach, then smaller and smaller ones, and again. A
-# running digest of the answers is compared, and some answers one by one.
-DRIVER = r"""
+# Reads what is wanted of each axis and its temperature; writes voltages, displacements, clamped samples, and on the
+# emulated board the counts of its timer, which counts at 25 MHz: an instruction takes 2**6 ns of QEMU's clock.
+PROGRAM = r"""
 #include <stdint.h>
 #include <stdio.h>
-#include <string.h>
-#include "piezo.h"
-
-static void put(uint64_t bits)
-{
-    printf("%08lx%08lx\n", (unsigned long)(bits >> 32), (unsigned long)(bits & 0xffffffffu));
-}
-
-int main(void)
-{
-    static piezo p;
-    uint64_t x = 88172645463325252u, digest = 14695981039346656037u;
-    long t;
-    if (piezo_begin(&p) != DEHYST_OK) return 1;
-    for (t = 0; t < SAMPLES; t++) {
-        double share, wide = 1.0 / (double)(1 << (t / 512 % 6));
-        uint64_t bits = 0;
-        dehyst_real v;
-        x = x * 6364136223846793005u + 1442695040888963407u;
-        share = (double)(x >> 11) * 0x1p-53;
-        v = piezo_step(&p, (dehyst_real)(MIDDLE + HALF * (2 * share - 1) * wide));
-        memcpy(&bits, &v, sizeof v);
-        digest = (digest ^ bits) * 1099511628211u;
-        if (t % EVERY == 0) put(bits);
-    }
-    put(digest);
-    printf("%lu %lu\n", p.loop.limited, p.loop.slewed);
-    return 0;
-}
-"""
-
-BOARD = {name: shipped(name) for name in ("start.S", "board.ld")}
-QEMU = ["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-semihosting", "-kernel"]
-
-# Prints the instructions of each step and its voltage [uV]. The board's timer counts at 25 MHz,
-# and an instruction takes 2**6 ns of QEMU's clock: 1.6 counts.
-STOPWATCH = r"""
-#include <stdio.h>
-#include <stdint.h>
-#include <string.h>
-#include "piezo.h"
+#include "played.h"
+#ifdef __arm__
 #define CONTROL (*(volatile uint32_t *)0xE000E010u)
 #define RELOAD (*(volatile uint32_t *)0xE000E014u)
 #define COUNT (*(volatile uint32_t *)0xE000E018u)
+#else
+static volatile uint32_t CONTROL, RELOAD, COUNT;
+#endif
 
 int main(void)
 {
-    static piezo p;
-    volatile dehyst_real sent;
-    long t;
+    static BODY body;
+    FILE *given = fopen("given", "rb"), *answers = fopen("answers", "wb");
+    double row[2 * AXES], answer[4 * AXES + 1];
+    dehyst_real wanted[AXES], degrees[AXES], volts[AXES], moved[AXES];
+    int j;
+    (void)degrees;
     CONTROL = 0, RELOAD = 0xFFFFFFu, COUNT = 0, CONTROL = 5;
-    if (piezo_begin(&p) != DEHYST_OK) return 1;
-    for (t = 0; t < (long)(sizeof WISHES / sizeof *WISHES); t++) {
+    if (BEGIN(&body) != DEHYST_OK) return 1;
+    while (fread(row, sizeof row, 1, given) == 1) {
         uint32_t begin, end;
-        dehyst_real wish = (dehyst_real)WISHES[t];
+        for (j = 0; j < AXES; j++) wanted[j] = (dehyst_real)row[j], degrees[j] = (dehyst_real)row[AXES + j];
+#ifdef TEMPERATURE
+        if (TEMPERATURE(&body, degrees) != DEHYST_OK) return 2;
+#endif
         COUNT = 0;
         begin = COUNT;
-        sent = piezo_step(&p, wish);
+        STEP(&body, wanted, volts);
         end = COUNT;
-        printf("%lu %ld\n", (unsigned long)((begin - end) & 0xFFFFFFu), (long)(1e6 * (double)sent));
+        DISPLACEMENT(&body, moved);
+        for (j = 0; j < AXES; j++) {
+            answer[j] = volts[j], answer[AXES + j] = moved[j];
+            answer[2 * AXES + 2 * j] = LOOP(&body, j).limited, answer[2 * AXES + 2 * j + 1] = LOOP(&body, j).slewed;
+        }
+        answer[4 * AXES] = (double)((begin - end) & 0xFFFFFFu);
+        fwrite(answer, sizeof answer, 1, answers);
     }
-    return 0;
+#ifdef TEMPERATURE
+    {
+        const dehyst_real gain = LOOP(&body, 0).gain;
+        degrees[AXES - 1] = 1000;
+        if (TEMPERATURE(&body, degrees) != DEHYST_ERR_SIGN || LOOP(&body, 0).gain != gain) return 3;
+    }
+#endif
+    return fclose(answers);
 }
 """
+# The calls of PROGRAM, of one axis and of a stage.
+ONE = """
+#include "piezo.h"
+#define AXES 1
+#define BODY piezo
+#define BEGIN piezo_begin
+#define LOOP(p, j) ((void)(j), (p)->loop)
+#define STEP(p, wanted, volts) *(volts) = piezo_step(p, *(wanted))
+#define DISPLACEMENT(p, moved) *(moved) = piezo_displacement(p)
+"""
+STAGE = """
+#include "stage.h"
+#define AXES STAGE_AXES
+#define BODY stage
+#define BEGIN stage_begin
+#define LOOP(p, j) ((p)->loop[j])
+#define STEP stage_step
+#define DISPLACEMENT stage_displacement
+"""
+TEMPERATURES = {"piezo": "(p, degrees) piezo_temperature(p, *(degrees))", "stage": " stage_temperature"}
+
+BOARD = {name: shipped(name) for name in ("start.S", "board.ld")}
+QEMU = ["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-semihosting", "-icount", "shift=6", "-kernel"]
 COUNTS_AN_INSTRUCTION = 1.6
 
 
@@ -112,28 +116,24 @@ def wider(kind, *, moving=False, creeping=False):
     return Compensator(actuator, LIMITS, 5e3, period=period, state=None if moving else state, preview=moving)
 
 
-def spread(compensator):
-    """Middle and half width of the requested displacements: a tenth beyond the reach."""
-    low, high = compensator.reach
-    return 0.5 * (low + high), 0.55 * (high - low)
-
-
 def wishes(compensator, samples):
-    """The displacements that DRIVER requests."""
-    shares, x = np.empty(samples), SEED
-    for t in range(samples):
-        x = (x * MULTIPLIER + INCREMENT) & WORD
-        shares[t] = (x >> 11) * 2.0**-53
-    middle, half = spread(compensator)
-    return middle + half * (2 * shares - 1) * (1.0 / 2.0 ** (np.arange(samples) // 512 % 6))
+    """Displacements that jump beyond the whole reach, then less and less far, and again; of a stage (n, axes)."""
+    reach = np.array(compensator.reach)
+    middle, half = reach.mean(axis=-1), 0.6 * np.ptp(reach, axis=-1)
+    if reach.ndim == 2:
+        middle, half = compensator.stage.coupling @ middle, 2 * half
+    shares = 1.0 / 2.0 ** (np.arange(samples) // 512 % 6)
+    jumps = np.random.default_rng(5).uniform(-1, 1, (samples, *half.shape))
+    return middle + half * (shares * jumps.T).T
 
 
-def told(voltages, clamps, *, every):
-    """The lines that DRIVER prints of these answers."""
-    words, value = voltages.view(np.uint64), OFFSET
-    for bits in words.tolist():
-        value = ((value ^ bits) * PRIME) & WORD
-    return [*(f"{bits:016x}" for bits in (*words[::every].tolist(), value)), f"{clamps.limited} {clamps.slewed}"]
+def answers(compensator, wanted, degrees=None):
+    """Voltage, displacement and the counts of clamped samples of each axis after each sample, by Python."""
+    loop, rows = compensator._clone(), []
+    for k, path in enumerate(wanted.tolist()):
+        volts = loop.step(path) if degrees is None else loop.step(path, degrees[k].tolist())
+        rows.append(np.hstack([volts, loop.displacement, np.ravel(loop.clamps)]))
+    return np.array(rows)
 
 
 def must_run(command, folder, **options):
@@ -143,48 +143,34 @@ def must_run(command, folder, **options):
     return done.stdout
 
 
-def _built(folder, name, text, *command, link=()):
-    """Compile a program of an export, and apart from it the core, whose objects compilers remember."""
-    (folder / f"{name}.c").write_text(text)
-    must_run([*command, "-c", "dehyst.c"], folder)
-    must_run([*command, f"{name}.c", "piezo.c", "dehyst.o", *link, "-o", name], folder)
-    return name
+def _played(folder, wanted, degrees, compiler, link, run):
+    """Compile PROGRAM with an export, and apart from it the core, whose objects compilers remember; run it."""
+    name = "stage" if (folder / "stage.h").exists() else "piezo"
+    warm = f"{name}_temperature" in (folder / f"{name}.h").read_text()
+    assert warm == (degrees is not None)
+    calls = (STAGE if name == "stage" else ONE) + f"#define TEMPERATURE{TEMPERATURES[name]}\n" * warm
+    (folder / "played.h").write_text(calls)
+    (folder / "played.c").write_text(PROGRAM)
+    must_run([*compiler, "-c", "dehyst.c"], folder)
+    must_run([*compiler, "played.c", f"{name}.c", "dehyst.o", *link, "-o", "played"], folder)
+    wanted = np.asarray(wanted, dtype=float).reshape(len(wanted), -1)
+    np.hstack([wanted, np.zeros_like(wanted) if degrees is None else degrees]).tofile(folder / "given")
+    must_run(run, folder)
+    return np.fromfile(folder / "answers").reshape(len(wanted), -1)
 
 
-def _built_for_board(folder, name, text):
-    """Compile it for the emulated Cortex-M4 with its floating-point unit."""
+def played(folder, wanted, degrees=None, *, compiler="gcc", options=("-O2",)):
+    """What `answers` returns, by C on this computer."""
+    return _played(folder, wanted, degrees, [compiler, *STRICT, *options], [], ["./played"])[:, :-1]
+
+
+def emulated(folder, wanted):
+    """The same on an emulated Cortex-M4, doubles by software and floats by its unit; and instructions of each step."""
     for file, content in BOARD.items():
         (folder / file).write_text(content)
     link = ["start.S", "--specs=rdimon.specs", "-T", "board.ld"]
-    return _built(folder, name, text, "arm-none-eabi-gcc", *STRICT, *CORTEX_M4F, link=link)
-
-
-def _driver(compensator, samples, every):
-    middle, half = spread(compensator)
-    given = {"SAMPLES": f"{samples}L", "EVERY": f"{every}L", "MIDDLE": middle.hex(), "HALF": half.hex()}
-    return "".join(f"#define {name} {value}\n" for name, value in given.items()) + DRIVER
-
-
-def driven(folder, compensator, samples, *, every, compiler="gcc", options=("-O2",)):
-    """Lines that DRIVER prints, compiled for this computer."""
-    name = _built(folder, "driver", _driver(compensator, samples, every), compiler, *STRICT, *options)
-    return must_run([f"./{name}"], folder).splitlines()
-
-
-def emulated(folder, compensator, samples, *, every):
-    """The same on an emulated Cortex-M4: doubles by software, floats by its floating-point unit."""
-    name = _built_for_board(folder, "driver", _driver(compensator, samples, every))
-    return must_run([*QEMU, name], folder).splitlines()
-
-
-def instructions(folder, given):
-    """Instructions of each step on an emulated Cortex-M4 with its floating-point unit, and the voltages."""
-    values = ",".join(float(x).hex() for x in given)
-    text = STOPWATCH.replace("int main", f"static const double WISHES[] = {{{values}}};\n\nint main", 1)
-    program = _built_for_board(folder, "stopwatch", text)
-    rows = must_run([*QEMU[:-1], "-icount", "shift=6", "-kernel", program], folder).splitlines()
-    counts, volts = zip(*(row.split() for row in rows), strict=True)
-    return np.array(counts, dtype=float) / COUNTS_AN_INSTRUCTION, 1e-6 * np.array(volts, dtype=float)
+    found = _played(folder, wanted, None, ["arm-none-eabi-gcc", *STRICT, *CORTEX_M4F], link, [*QEMU, "played"])
+    return found[:, :-1], found[:, -1] / COUNTS_AN_INSTRUCTION
 
 
 KINDS = {
@@ -194,6 +180,38 @@ KINDS = {
     "creep": lambda: wider("graded, transformer", creeping=True),
     "all": lambda: wider("all", creeping=True),
     "moving": lambda: wider("all", moving=True),
+}
+COUPLING = np.array([[1.0, 0.05, -0.03], [-0.06, 1.0, 0.04], [0.02, -0.045, 1.0]])
+
+
+def plain_stage(**options):
+    actuators = tuple(plain_records.plant(count, seed=count) for count in (6, 10, 3))
+    limits = [(20.0, 180.0), (0.0, 150.0), (40.0, 200.0)]
+    return Compensator(Stage(actuators, COUPLING), limits=limits, **options)
+
+
+def wide_stage():
+    """Smooth elements, graded elements and a transformer, and all parts together."""
+    axes = [wider(kind) for kind in ("smooth", "graded, transformer", "all")]
+    stage, states = Stage([axis.actuator for axis in axes], COUPLING), [axis.state for axis in axes]
+    slews, period = [None, 5e3, 8e3], axes[0].period
+    return Compensator(stage, limits=[LIMITS] * 3, period=period, slew_rate=slews, state=states)
+
+
+def warm_stage():
+    """Of each axis another effect of the temperature."""
+    thermals = Thermal(-0.004, 3.3e-9, 24.7), Thermal(-0.002, 0.0, 21.0)
+    plants = [plain_records.plant(count, seed=count) for count in (6, 10)]
+    actuators = tuple(replace(plant, thermal=part) for plant, part in zip(plants, thermals, strict=True))
+    return Compensator(Stage(actuators, COUPLING[:2, :2]), limits=[(20.0, 180.0), (0.0, 150.0)])
+
+
+STAGES = {
+    "plain stage": plain_stage,
+    "slewing stage": lambda: plain_stage(period=1e-3, slew_rate=[2e4, None, 4e4]),
+    "wide stage": wide_stage,
+    "stage of one axis": lambda: Compensator(Stage((plain_records.plant(5),)), limits=[(0.0, 190.0)]),
+    "warm stage": warm_stage,
 }
 TOOLS = {
     "gcc": "the exported C cannot be compiled",
@@ -209,14 +227,9 @@ def need(*tools):
             pytest.skip(f"{tool} is not installed: {TOOLS[tool]}")
 
 
-def written(folder, compensator, number="double"):
+def written(folder, compensator, number="double", **options):
     """The C files alone."""
-    folder.mkdir()
-    for name, text in code(compensator, number).items():
+    folder.mkdir(exist_ok=True)
+    for name, text in code(compensator, number, **options).items():
         (folder / name).write_text(text)
     return folder
-
-
-def plain_code(name):
-    """The C files of a plain compensator."""
-    return code(plain(), name=name)
