@@ -9,14 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import SEEDS, make_actuator
 
-from dehyst import (
-    Actuator,
-    Bank,
-    ClampWarning,
-    Compensator,
-    DisplacementCreep,
-    ModelError,
-)
+from dehyst import Actuator, Bank, ClampWarning, Compensator, DisplacementCreep, ModelError
 from dehyst.model import Transformer, voltages_of
 from examples import examples
 

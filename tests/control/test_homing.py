@@ -9,6 +9,7 @@ import pytest
 from dehyst import Actuator, DisplacementCreep, Dynamics, MaxwellSlip, ModelError, RecordError, Spring, plan_path
 from dehyst.control import Compensator, shortest_homing
 from dehyst.model import with_identification
+from dehyst.records.events import counted_events
 from dehyst.waveforms import Sampling
 from examples import at_night
 
@@ -89,6 +90,27 @@ def test_the_bound_of_a_homing_is_kept():
     assert long.seconds > 20 and short.homing.played.duration <= 9.02 and short.error.largest > long.error.largest
     before = long.phase < 2
     assert np.abs(np.diff(long.voltage[before]) / np.diff(long.time[before])).max() <= 200.0 * (1 + 1e-6)
+
+
+@pytest.mark.parametrize(("step", "within"), [(1e-3, None), (1e-4, None), (1e-4, 15.0)])
+def test_rows_of_a_homing_are_near_in_voltage_and_on_its_straight_lines(step, within):
+    path = np.linspace(0.3, 0.6, 2000) * plain_records.STROKE
+    actuator = replace(CREEPING, displacement_creep=DisplacementCreep([200.0], [0.02]))
+    plan = plan_path(actuator, path, time=step * np.arange(path.size), home=True, home_within=within)
+    own, played = plan.phase == 0, plan.homing.played
+    time, voltage = plan.time[own], plan.voltage[own]
+    assert np.abs(voltage - np.interp(time, played.time, played.voltage)).max() < 1e-11
+    assert np.isin(played.time[:-1], time).all()
+    steps, seconds = np.abs(np.diff(voltage)), np.diff(time)
+    assert 5 * step < seconds[steps > 0].max() and steps.max() <= 1e-3 * 260.0
+    assert np.abs(steps / seconds).max() <= 200.0 * (1 + 1e-6)
+    # Rows of a hold stay far apart.
+    assert len(time) < 2.5e4 and (within or seconds.max() == pytest.approx(1 / played.sample_rate))
+    # A fringe is half of 633 nm.
+    moved = plan.expected[plan.phase < 2] / 316.4e-9
+    when, count = counted_events(plan.time[plan.phase < 2], plan.voltage[plan.phase < 2], np.cos(2 * np.pi * moved), 1)
+    missed = count - np.interp(when, plan.time[plan.phase < 2], moved)
+    assert np.ptp(missed) < 0.2
 
 
 SWINGING = replace(CREEPING, dynamics=Dynamics(500.0, 0.02))

@@ -50,13 +50,7 @@ def test_a_snapshot_continues_and_a_damaged_one_changes_nothing(kind):
         broken[place // 8] ^= 1 << place % 8
         with pytest.raises(ModelError):
             other.restore(bytes(broken))
-    for block in (
-        kept[:-1],
-        kept + b"0",
-        b"",
-        loop._axes[0].block(),
-        compiled_exports.KINDS["creep"]().snapshot(),
-    ):
+    for block in (kept[:-1], kept + b"0", b"", loop._axes[0].block(), compiled_exports.KINDS["creep"]().snapshot()):
         with pytest.raises(ModelError):
             other.restore(block)
     assert other.snapshot() == loop._clone().snapshot()

@@ -9,15 +9,7 @@ from fake_rig import FakeRig
 
 from dehyst import ClampWarning, Record
 from dehyst._errors import ModelError, RecordError
-from dehyst.instruments import (
-    AbstractRig,
-    DeviceError,
-    LinkError,
-    RigError,
-    Samples,
-    SensorError,
-    open_rig,
-)
+from dehyst.instruments import AbstractRig, DeviceError, LinkError, RigError, Samples, SensorError, open_rig
 from dehyst.instruments.output import bounds_of_axes
 from dehyst.instruments.pi import PiRig
 from dehyst.waveforms import Excitation
@@ -96,12 +88,7 @@ def test_a_voltage_that_one_axis_forbids_is_refused_before_anything_is_sent(chan
 
 @pytest.mark.parametrize(
     ("fault", "error"),
-    [
-        ("drop", LinkError),
-        ("error", DeviceError),
-        ("saturate", SensorError),
-        ("narrow", DeviceError),
-    ],
+    [("drop", LinkError), ("error", DeviceError), ("saturate", SensorError), ("narrow", DeviceError)],
 )
 def test_after_a_fault_all_axes_retreat(fault, error):
     with served(fault, speed=2.0) as (server, bench), rig_of(server) as rig:

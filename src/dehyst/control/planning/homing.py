@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from itertools import cycle, pairwise
 
 import numpy as np
@@ -245,11 +246,10 @@ class _TimedHoming:
 
     def left(self, voltage: Array, time: Array) -> tuple[State, float]:
         """Return the middle of the states at the end, and the spread [m] there and along a further cycle."""
-        ends, paths = [], []
-        for state in self.states:
-            end = self._played(voltage, time, state)[1]
-            ends.append(end)
-            paths.append(np.append(self._played(*self._cycle, end)[0], end.deformation))
+        played = partial(self.actuator.simulate, extrapolate=True)
+        ends = [played(voltage, time=time, state=state).state for state in self.states]
+        again, clock = self._cycle
+        paths = [np.append(played(again, time=clock, state=end).displacement, end.deformation) for end in ends]
         return middle_of(ends), float(np.ptp(paths, axis=0).max())
 
     def _few(self, branches: Sequence[Branch]) -> tuple[Array, Array]:
@@ -263,10 +263,6 @@ class _TimedHoming:
             voltage.append(branch.start + (branch.end - branch.start) * share)
             time.append(time[-1][-1] + branch.seconds * share)
         return np.concatenate(voltage), np.concatenate(time)
-
-    def _played(self, voltage: Array, time: Array, state: State) -> tuple[Array, State]:
-        motion = self.actuator.simulate(voltage, time=time, state=state, extrapolate=True)
-        return motion.displacement, motion.state
 
 
 def branch_seconds(actuator: Actuator, otherwise: float = 0.5 / Sampling().frequency) -> float:
@@ -336,10 +332,7 @@ def keeps_order(actuator: Actuator) -> bool:
 
 
 def possible_states(
-    actuator: Actuator,
-    voltage: float,
-    limits: tuple[float, float] | None = None,
-    half: float = Sampling().half,
+    actuator: Actuator, voltage: float, limits: tuple[float, float] | None = None, half: float = Sampling().half
 ) -> tuple[State, ...]:
     """Return states at a voltage that bound all states in which an actuator of unknown history may rest there.
 

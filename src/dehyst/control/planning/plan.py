@@ -30,7 +30,8 @@ class PathPlan:
     ----------
     time : (n,) array or None
         Time [s] from the first sample of the homing; None if the path has no time. Rows of a long homing are farther
-        apart than rows of the path; between rows the voltage is linear.
+        apart than rows of the path, by a thousandth of its voltage range at most where it moves; between rows the
+        voltage is linear.
     phase : (n,) array
         0 for the homing, 1 for the way to the path, 2 for the path.
     voltage : (n,) array
@@ -140,12 +141,7 @@ class PathPlan:
     def in_units(self, units: str) -> PathPlan:
         """Return the plan of a single axis with its displacements converted from metres to `units`, such as "um"."""
         counts = per_metre(units)
-        return replace(
-            self,
-            displacement=self.displacement * counts,
-            expected=self.expected * counts,
-            units=units,
-        )
+        return replace(self, displacement=self.displacement * counts, expected=self.expected * counts, units=units)
 
     def __repr__(self) -> str:
         um, count = 1e6 / per_metre(self.units), int(np.count_nonzero(self.clamped[self.first :]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -17,7 +18,7 @@ from dehyst.control.planning.homing import FASTEST_BRANCH, Homing, branch_second
 from dehyst.control.planning.plan import HOMING, WAY
 from dehyst.control.planning.start import PossibleStart, model_error
 from dehyst.model import Actuator, State, major_loop, slew_rate_of_records, state_at, voltages_of
-from dehyst.waveforms import Branch, Sampling, volts
+from dehyst.waveforms import Branch, Excitation, Sampling, volts
 
 # Least number of samples of a branch at the path's sample rate; number of samples of a branch if a path has no time.
 _FEWEST, _TIMELESS = 25, 100
@@ -28,8 +29,9 @@ TOLERANCE = 1e-3
 _ROUNDS = 3
 # Relative differences of times below this are rounding.
 _ROUNDING = 1e-9
-# A homing with more samples has longer steps: numbers of samples of a branch, and of a period of a resonance.
-_EVEN_SAMPLES, _BRANCH_SAMPLES, _RESONANCE_SAMPLES = 100_000, 200, 10
+# A homing with more samples has longer steps: numbers of samples of a branch, and of a period of a resonance. Largest
+# voltage between two of its rows, as a part of its range, so that fringes can be counted at these rows.
+_EVEN_SAMPLES, _BRANCH_SAMPLES, _RESONANCE_SAMPLES, _ROW_STEP = 100_000, 200, 10, 1e-3
 # A file with more rows is larger than 300 MB.
 MOST_ROWS = 5_000_000
 
@@ -115,7 +117,6 @@ def way_to(
         ramp, goal, reached = _ramp(actuator, drive, past, before.state, first)
         return _before_path(way._replace(state=reached, goal=goal), ramp, rate, rows)
     least = max(model_error(actuator), TOLERANCE * float(np.ptp(actuator.spring.displacement)))
-
     homing = played_homing(actuator, drive, past, least, within)
     ramp, goal, reached = _ramp(actuator, drive, past, homing.state, first)
     if within is not None and homing.played.duration + ramp.size * step > within + step:
@@ -129,8 +130,8 @@ def way_to(
     remarks = (*before.remarks, *homing.remarks)
     way = way._replace(origin=way.start.state, state=reached, homing=homing, remarks=remarks, goal=goal)
     if len(homing.turns) > 1:
-        time, volts = homing.played.time[:-1], homing.played.voltage[:-1]
-        way = way._replace(time=time, voltage=volts, seconds=homing.played.duration)
+        ahead, volts = _rows(homing.played, step)
+        way = way._replace(time=ahead, voltage=volts, seconds=homing.played.duration)
     return _before_path(way, ramp, rate, rows)
 
 
@@ -172,6 +173,17 @@ def _before_path(homed: Way, ramp: Array, rate: float, rows: int) -> Way:
     )
 
 
+def _rows(played: Excitation, step: float) -> list[Array]:
+    """Return time [s] and voltage [V] of a homing without its last sample.
+
+    Where the voltage moves, further rows lie on straight lines between the samples, `step` [s] apart or farther.
+    """
+    moves = np.abs(np.diff(played.voltage))
+    most = min(moves.max() / (_ROW_STEP * np.ptp(played.voltage)), 1 / (played.sample_rate * step))
+    samples = np.append(0, np.cumsum(np.where(moves > 0, math.ceil(most - _ROUNDING), 1)))
+    return [np.interp(np.arange(samples[-1]), samples, values) for values in (played.time, played.voltage)]
+
+
 def _ramp(
     actuator: Actuator, drive: Sampling, past: tuple[float, float], state: State, first: float
 ) -> tuple[Array, float, State]:
@@ -196,11 +208,9 @@ def _ramp(
 
 def present_voltage(bounds: VoltageLimits, present: float | None) -> float:
     """Return the present voltage [V], by default 0 or the nearest limit; raise `RecordError` outside the limits."""
-    return (
-        bounds.nearest(0.0)
-        if present is None
-        else bounds.within(volts(present, "present"), "present", error=RecordError)
-    )
+    if present is None:
+        return bounds.nearest(0.0)
+    return bounds.within(volts(present, "present"), "present", error=RecordError)
 
 
 def played_homing(actuator: Actuator, drive: Sampling, past: Any, tolerance: float, within: float | None) -> Homing:
