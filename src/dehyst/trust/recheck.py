@@ -156,15 +156,15 @@ class Recheck(Plotted):
 
     @property
     def mismatch(self) -> str:
-        """A sentence on why the record clearly belongs to another actuator; empty if it may belong to the model's."""
+        """A sentence on why a record clearly belongs to another actuator; empty if it may be the model's, or is late."""
         gain = next((change.value for change in self.changed if change.name == "gain"), 0.0)
         reasons = []
         if 100 * abs(gain) > _MISMATCH:
             reasons.append(f"the gain differs by {lines.percent(abs(gain), 1.0, goal=_MISMATCH)}")
-        if percent(self.without_noise, self.stroke) > _MISMATCH:
-            reasons.append(
-                f"the largest error is {lines.percent(self.without_noise, self.stroke, goal=_MISMATCH)} of the stroke"
-            )
+        left = next((abs(change.effect) for change in self.changes if change.name == "shape"), np.inf)
+        if percent(min(self.without_noise, left), self.stroke) > _MISMATCH:
+            error = lines.percent(self.without_noise, self.stroke, goal=_MISMATCH)
+            reasons.append(f"the largest error is {error} of the stroke")
         if not (found := " and ".join(reasons)):
             return ""
         return (
