@@ -156,7 +156,7 @@ class Recheck(Plotted):
 
     @property
     def mismatch(self) -> str:
-        """A sentence on why a record clearly belongs to another actuator; empty if it may be the model's, or is late."""
+        """A sentence on why a record clearly belongs to another actuator; empty if not, or if it is only late."""
         gain = next((change.value for change in self.changed if change.name == "gain"), 0.0)
         reasons = []
         if 100 * abs(gain) > _MISMATCH:
