@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from calibration_listener import Heard
 from command_line import result
-from truths import AgeingActuator, AgeingCourse
-from truths.warm_rig import WarmRig
+from truths import WarmingActuator, WarmRig
 
 import dehyst
 from dehyst import Actuator, DehystError, FileFormatError, Record, read
@@ -294,8 +293,7 @@ def model():
 
 def test_the_path_of_a_calibration_is_planned_at_the_measured_temperature(model):
     """While it warms by 20 K, by an eighth of that along the path."""
-    truth = AgeingActuator(PlayActuator(seed=1), AgeingCourse(gain=-7, seconds=60, kelvins=20))
-    rig = WarmRig(truth)
+    rig = WarmRig(WarmingActuator(gain=-7, kelvins=20, seconds=60, seed=1))
     rig._wait(30.0)
     planner = PathPlanner(Excitations((rig.limits,), 400.0))
     aware, missed = replace(model, thermal=dehyst.Thermal(-0.07 / 20, 0.0, 20.0)), []

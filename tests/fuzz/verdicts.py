@@ -32,9 +32,9 @@ def specimens() -> Iterator[tuple[str, Any, str, str]]:
     """Yield each specimen: its name, the function that writes it, its file's name, and what a user knows of it."""
     for name, (write, words) in laboratory_files.FILES.items():
         yield f"file {name}", write, name, words
-    for kind, table in (("trap", laboratory_containers.TRAPS), ("twin", laboratory_containers.TWINS)):
-        for name, (write, words) in table.items():
-            yield f"{kind} {name}", write, name, words
+    for name, (trap, twin, words) in laboratory_containers.PAIRS.items():
+        yield f"trap {name}", trap, name, ""
+        yield f"twin {name}", twin, name, words
     for name, trap in text_traps.TRAPS.items():
         yield f"text trap: {name}", trap.trap, f"a{trap.suffix}", trap.options
         yield f"text twin: {name}", trap.twin, f"a{trap.suffix}", trap.twin_options

@@ -64,7 +64,7 @@ int main(void)
 #ifdef TEMPERATURE
     {
         const dehyst_real gain = LOOP(&body, 0).gain;
-        degrees[AXES - 1] = 1000;
+        degrees[0] += 10, degrees[AXES - 1] = 1000;
         if (TEMPERATURE(&body, degrees) != DEHYST_ERR_SIGN || LOOP(&body, 0).gain != gain) return 3;
     }
 #endif

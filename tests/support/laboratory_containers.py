@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,8 @@ import h5py
 import nptdms
 import numpy as np
 import openpyxl
-import scipy.io
-from laboratory_files import FILES, UM, N, T, V, Y, rows
+from laboratory_files import FILES, UM, N, T, V, Writer, Y, matlab, table
 
-Writer = Callable[[Path], None]
 # A small actuator: its stroke in nm is the same number as the stroke of a large actuator in um.
 NM = UM * 25
 SECONDS = "time_s,voltage_V,displacement_um"
@@ -41,13 +38,6 @@ def xlsx(dimension: str, *first: list[object]) -> Writer:
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, part in parts.items():
                 archive.writestr(name, part)
-
-    return write
-
-
-def text(head: str, *columns: np.ndarray, sign: str = ",", number: str = "%.9g") -> Writer:
-    def write(path: Path) -> None:
-        path.write_text(head + "\n" + rows(*columns, sign=sign, number=number))
 
     return write
 
@@ -82,50 +72,66 @@ def tdms(*offsets: float) -> Writer:
 
 INDEX = np.arange(float(N))
 OLD_RUN = [SECONDS.split(","), *np.c_[T, V, UM][: N // 2].tolist()]
-DATA = {"clock__time": (T * 1e3, ""), "drive__voltage": (V, "V"), "sensor__position": (UM, "um")}
+INDEXED = "Index,Drive (V),Pos (um)"
 
-# For each file: its misreadings, and the options that a user knows.
-TRAPS: dict[str, tuple[Writer, str]] = {
-    "rows.xlsx": (xlsx("A1:C1100"), ""),
-    "cell.xlsx": (xlsx("A1:C1", *OLD_RUN), ""),
-    "index.csv": (text("Index,Drive (V),Pos (um)", INDEX, V, UM), ""),
-    "scope.csv": (text("Type,raw\nPoints,1200\nXInc,0.002\n\nIndex,Drive (V),Pos (um)", INDEX, V, UM), ""),
-    "rate.csv": (text("Sampling Rate: 500 Hz\nSample,Drive (V),Pos (um)", INDEX, V, UM), ""),
-    "two.csv": (text("XInc,0.002,s\nXInc,0.004,s\nIndex,Drive (V),Pos (um)", INDEX, V, UM), ""),
-    "group.h5": (hdf5({"x": "nm"}, time=(T, "s"), voltage=(V, "V"), x__position=(NM, "")), ""),
-    "clock.h5": (hdf5({"clock": "ms"}, **DATA), ""),
-    "late.tdms": (tdms(0.0, 0.1), ""),
-    "order.npy": (lambda path: np.save(path, np.array([T, UM, V])), ""),
-    "regler.csv": (text("Zeit [ms];Ausgang Regler [mV];Weg [um]", T * 1e3, V * 66.7, UM, sign=";"), ""),
-    "ao.h5": (hdf5({}, time=(T, "s"), AO0=(V / 20, "V"), position=(UM, "um")), ""),
-    "small.mat": (lambda path: scipy.io.savemat(path, {"data": {"time_s": T, "voltage_V": V, "pos": NM}}), ""),
-    "metres.csv": (text("time_s,voltage_V,displacement_m", T, V, UM), ""),
-}
-# The same kinds of files, with all statements that the reader needs.
-TWINS: dict[str, tuple[Writer, str]] = {
-    "rows.xlsx": (xlsx("A1:C1201"), ""),
-    "cell.xlsx": (xlsx("", ["Stage 7, 1 May"]), ""),
-    "index.csv": (text(f"Index,{SECONDS}", INDEX, T, V, UM), ""),
-    "scope.csv": (text(f"Type,raw\nPoints,1200\nXInc,0.002,s\n\n{SECONDS}", T, V, UM), ""),
-    "rate.csv": (text("Sampling Rate: 500 Hz\ntime_ms,voltage_V,displacement_um", T * 1e3, V, UM), ""),
-    "two.csv": (text("XInc,0.002,s\nXIncrement = 2 ms\nIndex,drive_V,y_um", INDEX, V, UM), ""),
-    "group.h5": (hdf5({"x": "um"}, time=(T, "s"), voltage=(V, "V"), x__position=(Y * 1e9, "nm")), ""),
-    "clock.h5": (hdf5({"run": "V"}, run__time_ms=(T * 1e3, ""), run__voltage=(V, ""), run__y_um=(UM, "")), ""),
-    "late.tdms": (tdms(0.5, 0.5), ""),
-    "order.npy": (lambda path: np.save(path, np.rec.fromarrays([T, V, UM], names=SECONDS)), ""),
-    "regler.csv": (
-        text("Zeit [ms];Ausgang Regler [V];Weg [um]", T * 1e3, V, UM, sign=";"),
-        "voltage=Ausgang Regler [V]",
-    ),
-    "ao.h5": (
-        hdf5({}, time=(T, "s"), AO0=(V / 20, "V"), position=(UM, "um")),
-        "voltage=AO0*20",
-    ),
-    "small.mat": (
-        lambda path: scipy.io.savemat(path, {"data": {"time_s": T, "voltage_V": V, "pos_um": UM}}),
+# Files that are misread, each beside a twin with all statements that the reader needs; what a user knows of the twin.
+PAIRS: dict[str, tuple[Writer, Writer, str]] = {
+    "rows.xlsx": (xlsx("A1:C1100"), xlsx("A1:C1201"), ""),
+    "cell.xlsx": (xlsx("A1:C1", *OLD_RUN), xlsx("", ["Stage 7, 1 May"]), ""),
+    "index.csv": (table(INDEXED, INDEX, V, UM), table(f"Index,{SECONDS}", INDEX, T, V, UM), ""),
+    "scope.csv": (
+        table(f"Type,raw\nPoints,1200\nXInc,0.002\n\n{INDEXED}", INDEX, V, UM),
+        table(f"Type,raw\nPoints,1200\nXInc,0.002,s\n\n{SECONDS}", T, V, UM),
         "",
     ),
-    "metres.csv": (text("time_s,voltage_V,displacement_m", T, V, Y, number="%.15g"), ""),
+    "rate.csv": (
+        table("Sampling Rate: 500 Hz\nSample,Drive (V),Pos (um)", INDEX, V, UM),
+        table("Sampling Rate: 500 Hz\ntime_ms,voltage_V,displacement_um", T * 1e3, V, UM),
+        "",
+    ),
+    "two.csv": (
+        table(f"XInc,0.002,s\nXInc,0.004,s\n{INDEXED}", INDEX, V, UM),
+        table("XInc,0.002,s\nXIncrement = 2 ms\nIndex,drive_V,y_um", INDEX, V, UM),
+        "",
+    ),
+    "group.h5": (
+        hdf5({"x": "nm"}, time=(T, "s"), voltage=(V, "V"), x__position=(NM, "")),
+        hdf5({"x": "um"}, time=(T, "s"), voltage=(V, "V"), x__position=(Y * 1e9, "nm")),
+        "",
+    ),
+    "clock.h5": (
+        hdf5({"clock": "ms"}, clock__time=(T * 1e3, ""), drive__voltage=(V, "V"), sensor__position=(UM, "um")),
+        hdf5({"run": "V"}, run__time_ms=(T * 1e3, ""), run__voltage=(V, ""), run__y_um=(UM, "")),
+        "",
+    ),
+    "late.tdms": (tdms(0.0, 0.1), tdms(0.5, 0.5), ""),
+    "order.npy": (
+        lambda path: np.save(path, np.array([T, UM, V])),
+        lambda path: np.save(path, np.rec.fromarrays([T, V, UM], names=SECONDS)),
+        "",
+    ),
+    "regler.csv": (
+        table("Zeit [ms];Ausgang Regler [mV];Weg [um]", T * 1e3, V * 66.7, UM, sign=";"),
+        table("Zeit [ms];Ausgang Regler [V];Weg [um]", T * 1e3, V, UM, sign=";"),
+        "voltage=Ausgang Regler [V]",
+    ),
+    "ao.h5": (*[hdf5({}, time=(T, "s"), AO0=(V / 20, "V"), position=(UM, "um"))] * 2, "voltage=AO0*20"),
+    "small.mat": (
+        matlab(data={"time_s": T, "voltage_V": V, "pos": NM}),
+        matlab(data={"time_s": T, "voltage_V": V, "pos_um": UM}),
+        "",
+    ),
+    "metres.csv": (
+        table("time_s,voltage_V,displacement_m", T, V, UM),
+        table("time_s,voltage_V,displacement_m", T, V, Y, number="%.15g"),
+        "",
+    ),
+}
+# Formats that no instrument writes.
+PLAIN: dict[str, Writer] = {
+    "tabs.tsv": table(SECONDS.replace(",", "\t"), T, V, UM, sign="\t"),
+    "spaces.dat": table(SECONDS.replace(",", " "), T, V, UM, sign=" "),
+    "utf16.txt": table(SECONDS, T, V, UM, encoding="utf-16"),
 }
 
 
@@ -136,14 +142,9 @@ def write_sound(folder: Path) -> None:
         more: list[dict[str, Any]] = [{"compression": "gzip", "shuffle": True}, {"fletcher32": True}, {}]
         for name, values, options in zip(SECONDS.split(","), (T, V, UM), more, strict=True):
             file.create_dataset(name, data=values, chunks=(50,), **options)
-    for name, (write, words) in {**FILES, **TWINS, **PLAIN}.items():
+    twins = {name: (twin, words) for name, (_, twin, words) in PAIRS.items()}
+    for name, (write, words) in {**FILES, **twins}.items():
         if not words:
             write(folder / name)
-
-
-# Formats that no instrument writes.
-PLAIN: dict[str, tuple[Writer, str]] = {
-    "tabs.tsv": (text(SECONDS.replace(",", "\t"), T, V, UM, sign="\t"), ""),
-    "spaces.dat": (text(SECONDS.replace(",", " "), T, V, UM, sign=" "), ""),
-    "utf16.txt": (lambda path: path.write_text(f"{SECONDS}\n{rows(T, V, UM)}", "utf-16"), ""),
-}
+    for name, write in PLAIN.items():
+        write(folder / name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import nptdms
 import numpy as np
@@ -43,8 +44,20 @@ def text(folder: Path, content: str, name: str = "a.csv", encoding: str = "utf-8
     return path
 
 
-def german(text: str) -> str:
-    return text.replace(".", ",")
+Writer = Callable[[Path], None]
+
+
+def table(
+    head: str, *columns: np.ndarray, sign: str = ",", number: str = "%.9g", encoding: str = "utf-8", comma: bool = False
+) -> Writer:
+    """A writer of a table below the lines `head`, if any; `comma`: the decimal sign."""
+
+    def write(path: Path) -> None:
+        body = rows(*columns, sign=sign, number=number)
+        lines = f"{head}\n" * bool(head) + (body.replace(".", ",") if comma else body)
+        path.write_bytes(lines.encode(encoding))
+
+    return write
 
 
 def assert_measured(record: Record) -> None:
@@ -52,15 +65,6 @@ def assert_measured(record: Record) -> None:
     assert record.time - record.time[0] == pytest.approx(T, abs=1e-9)
     assert record.voltage == pytest.approx(V, abs=1e-4)
     assert record.displacement == pytest.approx(Y, abs=1e-11)
-
-
-def tektronix(path: Path) -> None:
-    head = (
-        "Model,MSO44\nFirmware Version,1.28.5\n\nWaveform Type,ANALOG,,\nPoint Format,Y,,\nHorizontal Units,s,,\n"
-        "Horizontal Scale,0.24,,\nSample Interval,0.002,,\nRecord Length,1200,,\nProbe Attenuation,1,1,\n"
-        "Vertical Units,V,V,\n\nLabel,drive,sensor,\nTIME,CH1,CH2\n"
-    )
-    path.write_text(head + rows(T, V / 100, UM / 10))
 
 
 def tektronix_channels(path: Path) -> None:
@@ -73,22 +77,9 @@ def tektronix_channels(path: Path) -> None:
         file.write_text("".join(f"{c or ',,'},{t:.6f},{v:.8f},\n" for c, t, v in zip(cells, T, values, strict=False)))
 
 
-def keysight(path: Path) -> None:
-    path.write_text("x-axis,1,2\nsecond,Volt,Volt\n" + rows(T, V / 100, UM / 10, number="%+.9E"))
-
-
 def rigol(path: Path) -> None:
     body = "".join(f"{k},{v:.6e},{y:.6e},,\n" for k, (v, y) in enumerate(zip(V / 100, UM / 10, strict=True)))
     path.write_text("X,CH1,CH2,Start,Increment,\nSequence,Volt,Volt,0.000000e+00,2.000000e-03\n" + body)
-
-
-def picoscope(path: Path) -> None:
-    path.write_text("Time,Channel A,Channel B\n(ms),(V),(mV)\n\n" + rows(T * 1e3, V / 100, UM * 100, number="%.8f"))
-
-
-def lecroy(path: Path) -> None:
-    head = "LECROYHDO4024,12345,Waveform\nSegments,1,SegmentSize,1200\nSegment,TrigTime,TimeSinceSegment1\n"
-    path.write_text(head + "#1,17-Apr-2015 12:03:02,0\nTime,Ampl,Pos_um\n" + rows(T, V, UM))
 
 
 def gcs(path: Path) -> None:
@@ -98,41 +89,11 @@ def gcs(path: Path) -> None:
     path.write_text("\n".join([*lines, "# END_HEADER", rows(UM, V, sign=" ", number="%.6f")]))
 
 
-def semicolons(path: Path) -> None:
-    path.write_bytes(("Zeit [s];Spannung [V];Weg [µm]\r\n" + german(rows(T, V, UM, sign=";"))).encode("cp1252"))
-
-
-def german_words(path: Path) -> None:
-    text = "Messung 12\nDatum;01.05.2024\n\nZeit in s;Ansteuerung in V;Kapazitiver Sensor in µm\n"
-    path.write_bytes((text + german(rows(T, V, UM, sign=";"))).encode("utf-8-sig"))
-
-
-def headerless(path: Path) -> None:
-    path.write_text(rows(T, V, UM))
-
-
-def savetxt(path: Path) -> None:
-    np.savetxt(path, np.c_[T, V, UM], header="time_s voltage_V displacement_um")
-
-
 def iso(path: Path) -> None:
     stamps = [f"2024-05-01T23:59:59.{k:03d}" for k in range(0, 1000, 2)]
     stamps += [f"2024-05-02T00:00:{k // 500:02d}.{2 * (k % 500):03d}" for k in range(N - 500)]
     lines = [f"{stamp},{v:.9g},{y:.9g}" for stamp, v, y in zip(stamps, V, UM, strict=True)]
     path.write_text("timestamp,voltage (V),position (um)\n" + "\n".join(lines))
-
-
-def letters(path: Path) -> None:
-    scipy.io.savemat(path, {"t": T, "u": V, "y": UM})
-
-
-def struct(path: Path) -> None:
-    scipy.io.savemat(path, {"data": {"t": T, "u": V, "y": UM, "info": {"who": "me", "gain": 3.0}}})
-
-
-def packed_struct(path: Path) -> None:
-    run = {"time_s": T.reshape(-1, 1), "voltage_V": V, "displacement_um": UM}
-    scipy.io.savemat(path, {"run": {"first": run}, "image": np.eye(4)}, do_compression=True)
 
 
 def tdms(path: Path) -> None:
@@ -145,59 +106,70 @@ def tdms(path: Path) -> None:
         writer.write_segment(channels)
 
 
-def units_below(path: Path) -> None:
-    path.write_text("Time\tDrive\tDisplacement\ns\tV\tnm\n" + rows(T, V, Y * 1e9, sign="\t"))
-
-
-def slashes(path: Path) -> None:
-    path.write_text("Time / ms,Voltage / V,Position / um\n" + rows(T * 1e3, V, UM))
-
-
-def monitor(path: Path) -> None:
-    text = "Zeit [ms];Monitor [mV];Sensor [V]\n"
-    path.write_bytes((text + german(rows(T * 1e3, V * 10, UM / 10, sign=";"))).encode("cp1252"))
-
-
 def two_files(path: Path) -> None:
-    path.write_text("time_s,voltage_V\n" + rows(T, V))
-    path.with_name("sensor.csv").write_text("time_s,displacement_um\n" + rows(T, UM))
+    table("time_s,voltage_V", T, V)(path)
+    table("time_s,displacement_um", T, UM)(path.with_name("sensor.csv"))
 
 
-def no_time(path: Path) -> None:
-    path.write_text("voltage_V,displacement_um\n" + rows(V, UM))
+def matlab(**variables: object) -> Writer:
+    return lambda path: scipy.io.savemat(path, variables)
 
 
-def many_channels(path: Path) -> None:
-    path.write_text("t_s,CH1 (V),CH2 (V),gauge x (um),gauge y (um),T (C)\n" + rows(T, V, 0 * V, UM, 0 * V, 0 * V + 21))
+TEKTRONIX = """Model,MSO44\nFirmware Version,1.28.5
 
+Waveform Type,ANALOG,,\nPoint Format,Y,,\nHorizontal Units,s,,\nHorizontal Scale,0.24,,\nSample Interval,0.002,,
+Record Length,1200,,\nProbe Attenuation,1,1,\nVertical Units,V,V,\n\nLabel,drive,sensor,\nTIME,CH1,CH2"""
+LECROY = """LECROYHDO4024,12345,Waveform\nSegments,1,SegmentSize,1200\nSegment,TrigTime,TimeSinceSegment1
+#1,17-Apr-2015 12:03:02,0\nTime,Ampl,Pos_um"""
+RUN = {"time_s": T.reshape(-1, 1), "voltage_V": V, "displacement_um": UM}
+# Decimals of Germany, with semicolons.
+GERMAN: dict[str, Any] = {"sign": ";", "comma": True}
+lecroy = table(LECROY, T, V, UM)
+headerless = table("", T, V, UM)
+monitor = table("Zeit [ms];Monitor [mV];Sensor [V]", T * 1e3, V * 10, UM / 10, encoding="cp1252", **GERMAN)
+GAINS = "voltage=*100, displacement=*10 um/V"
 
 # For each file: its writer, and the options that a user knows before the first try.
-FILES: dict[str, tuple[Callable[[Path], None], str]] = {
-    "tek.csv": (tektronix, "voltage=*100, displacement=*10 um/V"),
-    "F0000CH1.CSV": (
-        tektronix_channels,
-        "join=F0001CH2.CSV, voltage=*100, displacement=*10 um/V",
+FILES: dict[str, tuple[Writer, str]] = {
+    "tek.csv": (table(TEKTRONIX, T, V / 100, UM / 10), GAINS),
+    "F0000CH1.CSV": (tektronix_channels, f"join=F0001CH2.CSV, {GAINS}"),
+    "keysight.csv": (table("x-axis,1,2\nsecond,Volt,Volt", T, V / 100, UM / 10, number="%+.9E"), GAINS),
+    "rigol.csv": (rigol, GAINS),
+    "pico.csv": (
+        table("Time,Channel A,Channel B\n(ms),(V),(mV)\n", T * 1e3, V / 100, UM * 100, number="%.8f"),
+        GAINS,
     ),
-    "keysight.csv": (keysight, "voltage=*100, displacement=*10 um/V"),
-    "rigol.csv": (rigol, "voltage=*100, displacement=*10 um/V"),
-    "pico.csv": (picoscope, "voltage=*100, displacement=*10 um/V"),
     "lecroy.csv": (lecroy, ""),
     "recorder.dat": (gcs, ""),
-    "zeit.csv": (semicolons, ""),
-    "messung.csv": (german_words, ""),
+    "zeit.csv": (table("Zeit [s];Spannung [V];Weg [µm]\r", T, V, UM, encoding="cp1252", **GERMAN), ""),
+    "messung.csv": (
+        table(
+            "Messung 12\nDatum;01.05.2024\n\nZeit in s;Ansteuerung in V;Kapazitiver Sensor in µm",
+            *(T, V, UM),
+            encoding="utf-8-sig",
+            **GERMAN,
+        ),
+        "",
+    ),
     "bare.csv": (headerless, ""),
-    "savetxt.txt": (savetxt, ""),
+    "savetxt.txt": (lambda path: np.savetxt(path, np.c_[T, V, UM], header="time_s voltage_V displacement_um"), ""),
     "iso.csv": (iso, ""),
-    "letters.mat": (letters, ""),
-    "struct.mat": (struct, ""),
-    "packed.mat": (packed_struct, ""),
+    "letters.mat": (matlab(t=T, u=V, y=UM), ""),
+    "struct.mat": (matlab(data={"t": T, "u": V, "y": UM, "info": {"who": "me", "gain": 3.0}}), ""),
+    "packed.mat": (
+        lambda path: scipy.io.savemat(path, {"run": {"first": RUN}, "image": np.eye(4)}, do_compression=True),
+        "",
+    ),
     "daq.tdms": (tdms, ""),
-    "units.txt": (units_below, ""),
-    "slashes.csv": (slashes, ""),
-    "monitor.csv": (monitor, "voltage=*100, displacement=*10 um/V"),
+    "units.txt": (table("Time\tDrive\tDisplacement\ns\tV\tnm", T, V, Y * 1e9, sign="\t"), ""),
+    "slashes.csv": (table("Time / ms,Voltage / V,Position / um", T * 1e3, V, UM), ""),
+    "monitor.csv": (monitor, GAINS),
     "drive.csv": (two_files, "join=sensor.csv"),
-    "untimed.csv": (no_time, "rate=500"),
-    "channels.csv": (many_channels, "voltage=CH1 (V), displacement=gauge x (um)"),
+    "untimed.csv": (table("voltage_V,displacement_um", V, UM), "rate=500"),
+    "channels.csv": (
+        table("t_s,CH1 (V),CH2 (V),gauge x (um),gauge y (um),T (C)", T, V, 0 * V, UM, 0 * V, 0 * V + 21),
+        "voltage=CH1 (V), displacement=gauge x (um)",
+    ),
 }
 
 

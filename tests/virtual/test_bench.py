@@ -9,8 +9,7 @@ from hand_clock import Hand
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plain_records import plant
-from truths import VIRTUAL, AgeingActuator, AgeingCourse, BoucWenActuator, ModelledActuator, PreisachActuator
-from truths.warm_rig import WarmRig
+from truths import VIRTUAL, BoucWenActuator, ModelledActuator, PreisachActuator, WarmingActuator, WarmRig
 
 from dehyst import DehystError, ModelError
 from dehyst.instruments import DeviceError, open_rig
@@ -211,8 +210,7 @@ def test_a_sample_takes_a_whole_number_of_servo_periods():
 
 
 def test_records_have_the_declared_further_channels_of_a_rig():
-    course = AgeingCourse(gain=-6, kelvins=30, seconds=2)
-    rig = WarmRig(AgeingActuator(PlayActuator(), course), limits=(0, 100))
+    rig = WarmRig(WarmingActuator(gain=-6, kelvins=30, seconds=2), limits=(0, 100))
     wave = Excitation("wave", np.linspace(0, 100, 400), 100.0)
     batches = []
     record = rig.play(wave, batches.append)

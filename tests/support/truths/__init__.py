@@ -4,9 +4,9 @@ On ever finer grids the models of Preisach and of Krasnosel'skii, and plays time
 operator), approach `PreisachActuator`. `ModelledActuator` is a model itself.
 """
 
-from truths.ageing import AgeingActuator, AgeingCourse
 from truths.bouc_wen import BoucWenActuator
 from truths.modelled import VIRTUAL, ModelledActuator
 from truths.preisach import PreisachActuator
+from truths.warming import WarmingActuator, WarmRig
 
-__all__ = ["VIRTUAL", "AgeingActuator", "AgeingCourse", "BoucWenActuator", "ModelledActuator", "PreisachActuator"]
+__all__ = ["VIRTUAL", "BoucWenActuator", "ModelledActuator", "PreisachActuator", "WarmRig", "WarmingActuator"]

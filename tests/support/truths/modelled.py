@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,8 +16,6 @@ from truths.preisach import PreisachActuator
 
 # Share of a step that the actuator "creep" adds in each decade of time.
 _CREEP = 0.01
-# Keys of a model file that do not describe the actuator itself.
-_NOT_THE_ACTUATOR = {"format", "version", "name", "provenance", "identification", "state", "limits"}
 
 
 class ModelledActuator(VirtualActuator):
@@ -41,16 +38,6 @@ class ModelledActuator(VirtualActuator):
         """Reset to rest at 0 V, without residual strain."""
         self._state: State = self.actuator.relaxed()
         self._voltage, self._clock = 0.0, Clock()
-
-    @property
-    def kind(self) -> str:
-        """The kind of actuator."""
-        return "model"
-
-    def parameters(self) -> dict[str, Any]:
-        """Return the parameters of the model, without those that may differ for the same actuator."""
-        parts = self.actuator.as_dict().items()
-        return {key: value for key, value in parts if key not in _NOT_THE_ACTUATOR and value is not None}
 
     def _moved(self, v: Array, time: ArrayLike | None) -> Array:
         """Move; only an actuator that moves in time needs the `time`."""
