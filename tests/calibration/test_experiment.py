@@ -2,7 +2,6 @@
 
 import os
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 from calibration_listener import Heard
 from command_line import result
-from truths import WarmingActuator, WarmRig
 
 import dehyst
 from dehyst import Actuator, DehystError, FileFormatError, Record, read
@@ -19,7 +17,7 @@ from dehyst.calibration.experiment import _remarks
 from dehyst.calibration.following import _apart
 from dehyst.calibration.plan import Excitations, steps
 from dehyst.calibration.session import ProgressListener, Session, slower
-from dehyst.calibration.tracking import PathPlanner, later_temperature
+from dehyst.calibration.tracking import later_temperature
 from dehyst.control import VoltageLimits
 from dehyst.instruments import DeviceError
 from dehyst.instruments.simulated import SimulatedRig
@@ -281,29 +279,6 @@ def test_times_that_do_not_rise_evenly_are_refused(time):
 
 def test_the_sample_rate_is_that_of_the_times():
     assert even_rate("wave.csv", np.arange(5) / 100) == pytest.approx(100.0)
-
-
-@pytest.fixture(scope="module")
-def model():
-    time = 0.01 * np.arange(2400)
-    tops = np.interp(time, np.arange(0, 26, 2), [0, 200, 0, 200, 0, 170, 0, 140, 0, 110, 0, 80, 0])
-    record = dehyst.Record(time, tops, PlayActuator(seed=1).play(tops, time=time), name="new")
-    return dehyst.identify(record, structure="maxwell_slip").actuator
-
-
-def test_the_path_of_a_calibration_is_planned_at_the_measured_temperature(model):
-    """While it warms by 20 K, by an eighth of that along the path."""
-    rig = WarmRig(WarmingActuator(gain=-7, kelvins=20, seconds=60, seed=1))
-    rig._wait(30.0)
-    planner = PathPlanner(Excitations((rig.limits,), 400.0))
-    aware, missed = replace(model, thermal=dehyst.Thermal(-0.07 / 20, 0.0, 20.0)), []
-    for trained in (model, aware):
-        homed = rig.play(planner.homing)
-        before = [homed, rig.play(planner.nominal(trained, [homed]).excitation)]
-        planned = planner.compensated(trained, before)
-        reached = rig.play(planned.excitation)
-        missed.append(TrackedPath.of(planned, reached, rig.rows(len(planned.excitation))).rms_percent)
-    assert missed[0] > 1 and missed[1] < 0.25
 
 
 def test_the_drift_of_a_temperature_is_extrapolated_for_its_duration():

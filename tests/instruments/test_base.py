@@ -86,14 +86,6 @@ def test_the_first_step_of_a_loop_comes_a_period_after_the_ramp():
     assert (np.abs(np.diff(volts)) <= 100.0 * np.diff(time) + 1e-9).all()
 
 
-@given(st.integers(2, 300), st.integers(2, 60))
-def test_pieces_of_a_wave_share_the_voltage_at_which_they_join(count, longest):
-    rows = FakeRig(longest=longest).rows(count)
-    pieces = np.split(rows, np.flatnonzero(np.diff(rows) == 0) + 1)
-    assert all(2 <= piece.size <= longest for piece in pieces)
-    assert np.array_equal(np.unique(rows), np.arange(count)) and np.array_equal(rows, np.sort(rows))
-
-
 OTHERS = [(0.0, 10**400, 0.0), (10**5000,) * 3, (0.0, "high", 0.0), (1.0, 2.0), 5]
 
 

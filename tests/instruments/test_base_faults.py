@@ -71,22 +71,23 @@ def refuse_excess(bench, lines=()):
         assert all(ALLOWED[0] <= float(value) <= ALLOWED[1] for value in sent), line
 
 
-def ordeal(seed, share):
-    """One rig's life with a meddler on the line; returns how many replies were changed, and its processor time [s]."""
+def life(seed, share):
+    """A rig's life with a meddler on the line: replies that were changed, acts without an error, and seconds."""
     rng, began = random.Random(seed), time.process_time()
+    slew_rate = rng.uniform(50, 5000)
     controller = FakeController(limits=DEVICE)
-    meddle = Meddling(seed, share if rng.random() < 0.3 else 0.0)
+    meddle, done = Meddling(seed, share if rng.random() < 0.3 else 0.0), 0
     try:
-        rig = QuickRig(PipeLink(controller, meddle), limits=ALLOWED, slew_rate=rng.uniform(50, 5000))
+        rig = QuickRig(PipeLink(controller, meddle), limits=ALLOWED, slew_rate=slew_rate)
     except DehystError:
         pass
     else:
         meddle.share = share
-        for _ in range(rng.randint(1, 8)):
-            act(rig, rng)
+        done = sum(act(rig, rng) for _ in range(rng.randint(1, 8)))
         rig.close()
     refuse_excess(controller.bench, controller.lines)
-    return meddle.count, time.process_time() - began
+    assert share or controller.bench.axis.log.largest_step <= 0.01 * slew_rate + ROUNDED
+    return meddle.count, done, time.process_time() - began
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -94,7 +95,7 @@ def ordeal(seed, share):
 def test_fuzzed_replies_never_move_a_voltage_out_of_its_limits(share, replies):
     seed = changed = 0
     while changed < replies:
-        count, seconds = ordeal(int(1e6 * share) + seed, share)
+        count, _, seconds = life(int(1e6 * share) + seed, share)
         assert seconds < 1.0
         changed, seed = changed + count, seed + 1
 
@@ -102,16 +103,7 @@ def test_fuzzed_replies_never_move_a_voltage_out_of_its_limits(share, replies):
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("sequences", [60, at_night(1000)])
 def test_random_calls_keep_limits_and_slew_rate(sequences):
-    done = 0
-    for seed in range(sequences):
-        rng = random.Random(seed)
-        controller, slew_rate = FakeController(limits=DEVICE), rng.uniform(50, 5000)
-        rig = QuickRig(PipeLink(controller), limits=ALLOWED, slew_rate=slew_rate)
-        done += sum(act(rig, rng) for _ in range(rng.randint(1, 8)))
-        rig.close()
-        refuse_excess(controller.bench, controller.lines)
-        assert controller.bench.axis.log.largest_step <= 0.01 * slew_rate + ROUNDED
-    assert done > sequences
+    assert sum(life(seed, 0.0)[1] for seed in range(sequences)) > sequences
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -120,7 +120,7 @@ def test_a_device_with_narrower_limits_than_stated_is_reported(doomed, monkeypat
     # The range of 200 V takes a second, and a step 10 ms.
     with pytest.raises(DeviceError, match="took 80 V when 82 V") as caught:
         rig.set_voltage(150.0)
-    assert "brought to 0 V" in caught.value.__notes__[0]
+    assert caught.value.__notes__[0].safe
     assert doomed.log()["highest"] <= 80.0
     assert rig.read().voltage == 0.0
 
@@ -155,7 +155,7 @@ def test_an_ioc_killed_during_a_wave_is_reported(doomed):
     rig = EpicsRig.connect(doomed.prefix, timeout=1.0)
     with pytest.raises(LinkError, match="no answer within") as caught:
         rig.play(cosine(2000), beyond(1.0, doomed.kill))
-    assert "could not be brought to 0 V" in caught.value.__notes__[0]
+    assert not caught.value.__notes__[0].safe
     with pytest.raises(RigError, match="is closed"):
         rig.read()
 
@@ -174,7 +174,7 @@ def test_an_ioc_that_hangs_during_a_wave_is_reported(doomed):
     rig = EpicsRig.connect(doomed.prefix, timeout=1.0)
     with pytest.raises(LinkError, match="no answer within 1 s") as caught:
         rig.play(cosine(2000), beyond(1.0, lambda: doomed.process.send_signal(signal.SIGSTOP)))
-    assert "could not be brought" in caught.value.__notes__[0]
+    assert not caught.value.__notes__[0].safe
     doomed.process.send_signal(signal.SIGCONT)
     again = EpicsRig.connect(doomed.prefix)
     assert again.retreat() == 0.0

@@ -34,23 +34,6 @@ def test_the_rig_reports_its_controller():
     assert (rig.limits.low, rig.limits.high, rig.slew_rate, rig.axis, rig.longest) == (-5.0, 120.0, 2000.0, "1", 4096)
 
 
-def test_a_record_is_the_motion_of_the_bench():
-    controller = FakeController()
-    rig = quick(controller)
-    wave = triangle()
-    lots = []
-    record = rig.play(wave, lots.append)
-    assert np.abs(record.voltage - wave.voltage).max() <= 0.6e-6
-    assert np.allclose(np.diff(record.time), 1e-3, rtol=1e-9)
-    _, _, displacement = controller.bench.samples()
-    assert np.allclose(record.displacement, displacement, rtol=1e-12)
-    assert len(lots) > 1
-    assert sum(lot.time.size for lot in lots) == len(wave)
-    again = rig.play(wave)
-    assert again.time[0] > record.time[-1]
-    assert rig.read().time >= again.time[-1]
-
-
 def test_two_readings_within_one_tick_have_two_times():
     rig = quick(FakeController())
     assert rig.read().time < rig.read().time
@@ -146,7 +129,7 @@ def test_narrower_limits_than_stated_are_a_device_error():
     rig = quick(controller)
     with pytest.raises(DeviceError, match=r"error 302: .*SVA 1") as caught:
         rig.set_voltage(100.0)
-    assert "brought to 0 V" in caught.value.__notes__[0]
+    assert caught.value.__notes__[0].safe
     assert controller.bench.axis.voltage == 0.0
     assert rig.set_voltage(10.0) == 10.0
     with pytest.raises(DeviceError, match="error"):

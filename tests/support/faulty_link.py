@@ -6,19 +6,48 @@ import time
 from dehyst.instruments.gcs_client import TcpLink
 from dehyst.instruments.pi import PiRig
 
-KINDS = ("drop", "truncate", "garble", "replay", "inject", "double", "delay", "number", "nonsense", "close", "space")
 _LIES = ["nan", "inf", "1e999", "-1e300", "1000000", "-99999", "", "1=2=3", "0x10", "--1", "1,5", "\u00b5"]
 
 
+def _garbled(rng, reply):
+    spoiled = bytearray(reply)
+    for _ in range(rng.randint(1, 4)):
+        spoiled[rng.randrange(len(spoiled))] = rng.randrange(256)
+    return bytes(spoiled)
+
+
+def _with_another_number(rng, reply):
+    """Replace a number by another kind of number: then the reply is no longer valid."""
+    head, equals, tail = reply.partition(b"=")
+    lie = rng.choice([*_LIES, repr(rng.uniform(-300, 300)), str(rng.randint(-5, 500))]).encode()
+    return head + equals + lie + tail[tail.find(b"\n") :] if equals else lie + b"\n"
+
+
+def _with_more(rng, reply, past):
+    more = rng.choice([b"\n", b"0\n", b"1=7\n", b" \n", b"HTTP/1.1 400\r\n", rng.choice(past)])
+    return more + reply if rng.random() < 0.5 else reply + more
+
+
+# By dice, reply and earlier replies: the bytes that are passed on instead, or None to close the connection.
+CHANGES = (
+    lambda rng, reply, past: b"",
+    lambda rng, reply, past: reply[: rng.randrange(len(reply))],
+    lambda rng, reply, past: _garbled(rng, reply),
+    lambda rng, reply, past: rng.choice(past),
+    _with_more,
+    lambda rng, reply, past: reply + reply,
+    lambda rng, reply, past: _with_another_number(rng, reply),
+    lambda rng, reply, past: rng.randbytes(rng.randint(1, 200)) + rng.choice([b"", b"\n"]),
+    lambda rng, reply, past: None,
+    lambda rng, reply, past: reply.replace(*rng.choice([(b"\n", b" \n"), (b" \n", b"\n")])),
+)
+
+
 class Meddling:
-    """Changes each reply with a probability by one of `KINDS`, and counts the changes.
+    """Delays each reply with a probability, or changes it by one of `CHANGES`, and counts how often."""
 
-    `number` replaces a number by another kind of number: then the reply is no longer valid.
-    """
-
-    def __init__(self, seed, share, kinds=KINDS):
-        self.rng, self.share, self.kinds = random.Random(seed), share, kinds
-        self.count = 0
+    def __init__(self, seed, share):
+        self.rng, self.share, self.count = random.Random(seed), share, 0
         self.past, self.late = [b"0\n"], b""
 
     def __call__(self, reply):
@@ -30,50 +59,10 @@ class Meddling:
         if self.rng.random() >= self.share:
             return reply
         self.count += 1
-        return getattr(self, f"_{self.rng.choice(self.kinds)}")(reply)
-
-    def _drop(self, reply):
-        return b""
-
-    def _truncate(self, reply):
-        return reply[: self.rng.randrange(len(reply))]
-
-    def _garble(self, reply):
-        spoiled = bytearray(reply)
-        for _ in range(self.rng.randint(1, 4)):
-            spoiled[self.rng.randrange(len(spoiled))] = self.rng.randrange(256)
-        return bytes(spoiled)
-
-    def _replay(self, reply):
-        return self.rng.choice(self.past)
-
-    def _inject(self, reply):
-        extra = self.rng.choice([b"\n", b"0\n", b"1=7\n", b" \n", b"HTTP/1.1 400\r\n", self.rng.choice(self.past)])
-        return extra + reply if self.rng.random() < 0.5 else reply + extra
-
-    def _double(self, reply):
-        return reply + reply
-
-    def _delay(self, reply):
-        self.late = reply
-        return b""
-
-    def _number(self, reply):
-        head, equals, tail = reply.partition(b"=")
-        lie = self.rng.choice([*_LIES, repr(self.rng.uniform(-300, 300)), str(self.rng.randint(-5, 500))]).encode()
-        if not equals:
-            return lie + b"\n"
-        _, newline, rest = tail.partition(b"\n")
-        return head + equals + lie + newline + rest
-
-    def _nonsense(self, reply):
-        return self.rng.randbytes(self.rng.randint(1, 200)) + self.rng.choice([b"", b"\n"])
-
-    def _close(self, reply):
-        return None
-
-    def _space(self, reply):
-        return reply.replace(b"\n", b" \n") if self.rng.random() < 0.5 else reply.replace(b" \n", b"\n")
+        if self.rng.random() < 1 / (1 + len(CHANGES)):
+            self.late = reply
+            return b""
+        return self.rng.choice(CHANGES)(self.rng, reply, self.past)
 
 
 class _Pipe:

@@ -7,6 +7,5 @@ operator), approach `PreisachActuator`. `ModelledActuator` is a model itself.
 from truths.bouc_wen import BoucWenActuator
 from truths.modelled import VIRTUAL, ModelledActuator
 from truths.preisach import PreisachActuator
-from truths.warming import WarmingActuator, WarmRig
 
-__all__ = ["VIRTUAL", "BoucWenActuator", "ModelledActuator", "PreisachActuator", "WarmRig", "WarmingActuator"]
+__all__ = ["VIRTUAL", "BoucWenActuator", "ModelledActuator", "PreisachActuator"]
