@@ -20,15 +20,15 @@ from fmu_runner import (
     ALL,
     GAIN,
     INPUT,
-    KINDS,
     LIMITED,
     MODELS,
     OFFSET,
     OUTPUT,
     PATH,
     PERIOD,
+    TARGETS,
+    VOLTAGES,
     Slave,
-    actuator_voltages,
     displacements,
     fmpy,
     validate_fmu,
@@ -55,10 +55,9 @@ def test_the_compensator_has_the_bits_of_python(fmus, model):
 
 @pytest.mark.parametrize("model", ["timeless", "creep", "mass", *map(at_night, ["plain", "preview"])])
 def test_the_actuator_moves_as_in_python(fmus, model):
-    volts = actuator_voltages(model)
     with Slave(fmus(model, "actuator")[1]) as slave:
-        y = slave.run(volts)
-    np.testing.assert_allclose(y, displacements(model, volts), rtol=0, atol=1e-12 * plain_records.STROKE)
+        y = slave.run(VOLTAGES)
+    np.testing.assert_allclose(y, displacements(model, VOLTAGES), rtol=0, atol=1e-12 * plain_records.STROKE)
     assert np.ptp(y) > 0.5 * plain_records.STROKE
 
 
@@ -87,7 +86,7 @@ def test_gain_and_offset_are_those_of_python(fmus):
         assert slave.run([60.0]) == [pytest.approx(1e-6 + 2 * y, rel=1e-14)]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", TARGETS)
 def test_before_the_first_step_it_is_in_the_start_state(fmus, kind):
     fresh = ALL["mass"]._clone()
     start = fresh.displacement, fresh.voltage
@@ -101,10 +100,10 @@ def test_before_the_first_step_it_is_in_the_start_state(fmus, kind):
             assert slave.step() == pytest.approx(start[0], rel=1e-9)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", TARGETS)
 def test_a_step_of_many_periods_equals_many_steps(fmus, kind):
     _, folder = fmus("creep", kind)
-    given = PATH[:40] if kind == "compensator" else actuator_voltages("creep")[:40]
+    given = PATH[:40] if kind == "compensator" else VOLTAGES[:40]
     with Slave(folder) as first, Slave(folder) as other:
         expected = first.run(np.repeat(given, 3))[2::3]
         np.testing.assert_array_equal([other.step(value, 3 * PERIOD) for value in given], expected)
@@ -151,9 +150,9 @@ def test_steps_between_rounded_times_are_accepted(fmus):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", TARGETS)
 def test_an_input_that_is_no_number_is_refused_and_changes_nothing(fmus, kind, value):
-    given = PATH[:30] if kind == "compensator" else actuator_voltages("mass")[:30]
+    given = PATH[:30] if kind == "compensator" else VOLTAGES[:30]
     with Slave(fmus("mass", kind)[1]) as initial, Slave(fmus("mass", kind)[1]) as other:
         first = initial.run(given)
         other.run(given[:10])
@@ -165,10 +164,10 @@ def test_an_input_that_is_no_number_is_refused_and_changes_nothing(fmus, kind, v
         np.testing.assert_array_equal(other.run(given[10:]), first[10:])
 
 
-@pytest.mark.parametrize(("model", "kind"), spanning(MODELS, KINDS))
+@pytest.mark.parametrize(("model", "kind"), spanning(MODELS, TARGETS))
 def test_a_state_is_restored_bit_for_bit(fmus, model, kind):
     _, folder = fmus(model, kind)
-    given = PATH if kind == "compensator" else actuator_voltages(model)
+    given = PATH if kind == "compensator" else VOLTAGES
     with Slave(folder) as first, Slave(folder) as other:
         first.run(given[:101])
         time = first.time
@@ -212,11 +211,11 @@ def checksum(data):
     return value.to_bytes(8, "little")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", TARGETS)
 def test_a_damaged_state_is_refused(fmus, kind):
     """Any bit of it turned, and numbers that no FMU writes, though their checksum fits."""
     with Slave(fmus("creep", kind)[1]) as slave:
-        given = PATH[:20] if kind == "compensator" else actuator_voltages("creep")[:20]
+        given = PATH[:20] if kind == "compensator" else VOLTAGES[:20]
         slave.run(given)
         data = slave.state()
         assert data[40:48] == checksum(data)
@@ -301,7 +300,7 @@ def test_calls_that_the_standard_forbids_are_refused(fmus):
 # The file
 
 
-@pytest.mark.parametrize(("model", "kind"), spanning(MODELS, KINDS))
+@pytest.mark.parametrize(("model", "kind"), spanning(MODELS, TARGETS))
 def test_the_validator_finds_no_fault(fmus, model, kind):
     path, _ = fmus(model, kind)
     assert validate_fmu(str(path)) == []
@@ -316,11 +315,11 @@ def test_a_binary_built_from_the_sources_is_the_same(fmus, tmp_path, monkeypatch
     if cmake is None:
         pytest.skip("cmake is not installed")
     monkeypatch.setenv("PATH", f"{Path(cmake).parent}{os.pathsep}{os.environ['PATH']}")
-    for kind in KINDS:
+    for kind in TARGETS:
         folder = Path(fmpy.extract(fmus("mass", kind)[0], tmp_path / kind))
         shutil.rmtree(folder / "binaries")
         build_platform_binary(folder)
-        given = PATH if kind == "compensator" else actuator_voltages("mass")
+        given = PATH if kind == "compensator" else VOLTAGES
         with Slave(folder) as built, Slave(fmus("mass", kind)[1]) as shipped:
             np.testing.assert_array_equal(built.run(given), shipped.run(given))
 

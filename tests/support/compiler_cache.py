@@ -10,8 +10,8 @@ import sys
 
 COMPILERS = ("cc", "gcc", "clang", "arm-none-eabi-gcc")
 _SOURCE, _HEADERS = "dehyst.c", ("dehyst.h", "dehyst_model.h", "dehyst_config.h")
-# These options ask for something else than an object or a program, or for headers in other folders.
-_OTHERWISE = ("-E", "-S", "-M", "-I", "-x", "-T", "-fsyntax-only", "-save-temps", "@")
+# These options ask for something else than an object, or for headers in other folders.
+_OTHERWISE = ("-E", "-S", "-M", "-I", "-x", "-save-temps", "@")
 
 
 def install(programs, folder):
@@ -31,71 +31,34 @@ def _read(path):
         return file.read()
 
 
-def _compiled(kept, compiler, flags):
-    """Whether the compiler filled the folder `kept` with its files of the core, without a message."""
-    import shutil
+def _compile(kept, compiler, flags):
+    """Compile the core into the file `kept`, where a message of the compiler does not end the process."""
     import subprocess
-    import tempfile
-    from pathlib import Path
 
-    work = Path(tempfile.mkdtemp(dir=Path(kept).parent))
-    for name in (_SOURCE, *_HEADERS):
-        shutil.copyfile(name, work / name)
-    done = subprocess.run([compiler, *flags, "-c", _SOURCE], cwd=work, capture_output=True, check=False)
-    for name in (_SOURCE, *_HEADERS):
-        (work / name).unlink()
-    silent = not (done.returncode or done.stdout or done.stderr)
-    if silent:
-        try:
-            work.rename(kept)
-        except OSError:
-            shutil.rmtree(work)  # Another process has compiled it first.
-    else:
-        shutil.rmtree(work)
-    return silent
-
-
-def _take(kept, output):
-    """Copy the object, under its name on the command line, and the other files that the compiler wrote."""
-    for name in os.listdir(kept):  # noqa: PTH208
-        to = output if output and name.endswith(".o") else name
-        with open(to, "wb") as file:  # noqa: PTH123
-            file.write(_read(f"{kept}/{name}"))
-
-
-def _without_the_core(folder, compiler, words):
-    """Arguments for the work that remains when the core's object exists; None if nothing remains."""
-    if (
-        words.count(_SOURCE) != 1
-        or any(word.startswith(_OTHERWISE) for word in words)
-        or not all(os.access(name, 0) for name in _HEADERS)
-    ):
-        return words
-    rest, output = list(words), None
-    if "-o" in rest[:-1]:
-        at = rest.index("-o")
-        output = rest[at + 1]
-        del rest[at : at + 2]
-    flags = [word for word in rest if word.startswith("-") and word != "-c" and not word.startswith("-l")]
-    files = [word for word in rest if not word.startswith("-")]
-    if not all(file.endswith((".c", ".o")) for file in files):
-        return words
-    texts = [_read(name) for name in (_SOURCE, *_HEADERS)]
-    kept = f"{folder}/{hashlib.sha256(repr((compiler, flags, texts)).encode()).hexdigest()}"
-    if not os.access(kept, 0) and not _compiled(kept, compiler, flags):
-        return words
-    if "-c" not in words:
-        return [f"{kept}/dehyst.o" if word == _SOURCE else word for word in words]
-    _take(kept, output)
-    return [word for word in words if word != _SOURCE] if len(files) > 1 else None
+    # Another process may compile it too.
+    own = f"{kept}.{os.getpid()}"
+    done = subprocess.run([compiler, *flags, _SOURCE, "-o", own], capture_output=True, check=False)
+    if done.returncode or done.stdout or done.stderr:
+        sys.stdout.buffer.write(done.stdout)
+        sys.stderr.buffer.write(done.stderr)
+        sys.exit(done.returncode or "the core is compiled with a message")
+    os.replace(own, kept)  # noqa: PTH105
 
 
 def main():
     """Compile."""
     folder, compiler, *words = sys.argv[1:]
-    left = _without_the_core(folder, compiler, words)
-    if left is not None:
-        os.execv(compiler, [compiler, *left])
+    at = words.index("-o") if "-o" in words[:-1] else len(words)
+    flags, output = words[:at] + words[at + 2 :], (*words[at + 1 : at + 2], "dehyst.o")[0]
+    files = [word for word in flags if not word.startswith("-")]
+    if files != [_SOURCE] or "-c" not in flags or any(word.startswith(_OTHERWISE) for word in flags):
+        os.execv(compiler, [compiler, *words])
+    texts = [_read(name) for name in (_SOURCE, *_HEADERS)]
+    kept = f"{folder}/{hashlib.sha256(repr((compiler, flags, texts)).encode()).hexdigest()}"
+    if not os.access(kept, 0):
+        _compile(kept, compiler, [flag for flag in flags if flag != _SOURCE])
+    with open(output, "wb") as file:  # noqa: PTH123
+        file.write(_read(kept))
 
 
 if __name__ == "__main__":

@@ -6,10 +6,12 @@ import sys
 import warnings
 from dataclasses import replace
 
+import compiled_exports
 import numpy as np
 import plain_records
 import pytest
 import structured_records
+from compiled_exports import KINDS, LIMITS
 
 import dehyst
 
@@ -20,37 +22,20 @@ if not sys.platform.startswith("linux") or os.uname().machine != "x86_64" or shu
 
 PERIOD = 1 / structured_records.RATE
 INPUT, OUTPUT, GAIN, OFFSET, LIMITED, SLEWED = 1, 2, 3, 4, 5, 6
-KINDS = ("compensator", "actuator")
-# Resonance [rad/s] that a period of 5 ms can follow.
-SLOW = dehyst.Dynamics(12, 0.4, 2e6)
-
-
-def _all_parts(**more):
-    actuator = structured_records.plant(structured_records.STRUCTURES["all"]).actuator
-    creep = dehyst.DisplacementCreep([0.01, 0.2, 3.0], [0.01, 0.02, 0.03])
-    return replace(actuator, name="every part", displacement_creep=creep, **more)
-
-
-def compensators():
-    """Compensators: plain; without time; all parts with creep; also a mass and a lag; the same with preview."""
-    heavy = _all_parts(dynamics=SLOW, lag=2e-3)
-    plain = replace(plain_records.plant(10, seed=4), name="plain")
-    limits = 30.0, 160.0
-    return {
-        "plain": dehyst.Compensator(plain, limits, 4e3, period=PERIOD),
-        "timeless": dehyst.Compensator(plain, limits),
-        "creep": dehyst.Compensator(_all_parts(), limits, 4e3, period=PERIOD),
-        "mass": dehyst.Compensator(heavy, limits, 4e3, period=PERIOD),
-        "preview": dehyst.Compensator(replace(heavy, delay=7e-3), limits, period=PERIOD, preview=True),
-    }
-
-
-def wanted(seed=1, size=400):
-    """A path [m] of ramps, rests and steps that leaves the reach on both sides."""
-    rng = np.random.default_rng(seed)
-    at = np.sort(rng.choice(np.arange(1, size - 1), 14, replace=False))
-    y = np.interp(np.arange(size), [0, *at, size], rng.uniform(-0.1, 1.1, 16))
-    return plain_records.STROKE * (y + 0.02 * rng.normal(size=size) * (np.arange(size) % 100 < 50))
+TARGETS = ("compensator", "actuator")
+_MOVING = KINDS["moving"]()
+# Compensators: plain; without time; all parts with creep; with a mass and a lag; the same with preview.
+ALL = {
+    "plain": compiled_exports.plain(slew=4e3, period=PERIOD),
+    "timeless": compiled_exports.plain(),
+    "creep": KINDS["all"](),
+    "mass": dehyst.Compensator(replace(_MOVING.actuator, delay=0.0), LIMITS, 4e3, period=PERIOD),
+    "preview": _MOVING,
+}
+MODELS = tuple(ALL)
+# A path [m] that leaves the reach on both sides, and random voltages [V], also beyond the limits.
+PATH = plain_records.wild_path(1, 400, 0.2, (14, 15))
+VOLTAGES = np.clip(PATH / plain_records.STROKE, -0.2, 1.2) * 150 + 10
 
 
 def voltages(compensator, path):
@@ -59,16 +44,6 @@ def voltages(compensator, path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", dehyst.ClampWarning)
         return fresh.run(path), fresh.clamps
-
-
-ALL = compensators()
-MODELS = tuple(ALL)
-PATH = wanted()
-
-
-def actuator_voltages(model):
-    """Voltages of a random path that the model can follow, also beyond the limits."""
-    return np.clip(PATH / plain_records.STROKE, -0.2, 1.2) * 150 + 10
 
 
 def displacements(model, volts, start=None):
