@@ -43,6 +43,11 @@ def journey(browser, workbench, loops):
         assert (visitor.complaints, visitor.elsewhere) == ([], [])
 
 
+@pytest.fixture
+def page(journey):
+    return journey[0]
+
+
 def shortest_way(page, loops):
     began, clicks = time.monotonic(), []
 
@@ -103,8 +108,7 @@ def test_a_voltage_takes_five_clicks_and_two_minutes(journey):
     assert rows.size > 1000
 
 
-def test_the_verdict_comes_first(journey):
-    page = journey[0]
+def test_the_verdict_comes_first(page):
     page.click("#step-model")
     assert "of the stroke" in page.inner_text("#verdict .outcome b")
     assert page.locator("#verdict").bounding_box()["y"] < page.locator("#model .figure >> nth=0").bounding_box()["y"]
@@ -122,8 +126,7 @@ def values(page):
     return [[float(word) for word in row.split()] for row in rows]
 
 
-def test_points_are_moved_by_pointer_and_by_text(journey):
-    page = journey[0]
+def test_points_are_moved_by_pointer_and_by_text(page):
     page.click("#step-path")
     page.check("input[value=points]")
     page.wait_for_selector("#path .point")
@@ -152,8 +155,7 @@ def test_points_are_moved_by_pointer_and_by_text(journey):
     assert values(page) == [[0, 3], [0.5, 6.5], [1, 3]]
 
 
-def test_an_unreachable_path_is_reported_at_once(journey):
-    page = journey[0]
+def test_an_unreachable_path_is_reported_at_once(page):
     page.click("#step-path")
     page.check("input[value=scan]")
     high = page.locator("#path-high")
@@ -175,8 +177,7 @@ def test_an_unreachable_path_is_reported_at_once(journey):
     sync_api.expect(page.locator("#plan-words .first")).to_contain_text("of the stroke")
 
 
-def test_a_refused_file_gets_a_form_that_corrects_it(journey, loops, tmp_path):
-    page = journey[0]
+def test_a_refused_file_gets_a_form_that_corrects_it(page, loops, tmp_path):
     bad = tmp_path / "bad.csv"
     bad.write_text(loops.read_text().replace("time_s,voltage_V,displacement_um", "when,a,a"))
     page.click("#step-records")
@@ -199,8 +200,7 @@ def test_a_refused_file_gets_a_form_that_corrects_it(journey, loops, tmp_path):
     page.wait_for_selector("#record-list .card:nth-child(2)", state="detached")
 
 
-def test_unreadable_files_are_first_in_the_list_without_a_form(journey, loops, tmp_path):
-    page = journey[0]
+def test_unreadable_files_are_first_in_the_list_without_a_form(page, loops, tmp_path):
     page.click("#step-records")
     contents = {
         "scope.csv": loops.read_bytes().replace(b"time_s", b"when"),
@@ -227,8 +227,7 @@ def test_unreadable_files_are_first_in_the_list_without_a_form(journey, loops, t
     page.set_viewport_size({"width": 1400, "height": 900})
 
 
-def test_the_back_button_opens_the_last_step(journey, workbench):
-    page = journey[0]
+def test_the_back_button_opens_the_last_step(page, workbench):
     page.click("#step-records")
     for step in ("model", "export"):
         page.click(f"#step-{step}")
@@ -241,15 +240,25 @@ def test_the_back_button_opens_the_last_step(journey, workbench):
     assert page.url.startswith(workbench.base)
 
 
-@pytest.mark.parametrize("width", [1400, 1000, 400])
-def test_the_page_fits_the_window(journey, width):
-    page = journey[0]
-    page.set_viewport_size({"width": width, "height": 900})
-    for step in STEPS:
-        if page.is_visible(f"#step-{step}"):
-            page.click(f"#step-{step}")
-            assert page.evaluate("() => document.documentElement.scrollWidth - innerWidth") <= 0, step
+@pytest.fixture(params=[1400, 1000, 400])
+def narrow(page, request):
+    page.set_viewport_size({"width": request.param, "height": 900})
+    yield page
     page.set_viewport_size({"width": 1400, "height": 900})
+
+
+def test_the_page_fits_the_window_and_has_room_for_all_steps(narrow):
+    for step in STEPS:
+        narrow.click(f"#step-{step}")
+        assert narrow.evaluate("() => document.documentElement.scrollWidth - innerWidth") <= 0, step
+        sync_api.expect(narrow.locator(f"#step-{step}")).to_be_in_viewport(ratio=0.99)
+    wide = "tabs => tabs.map(tab => [...tab.children].map(one => one.scrollWidth - one.clientWidth)).flat()"
+    assert max(narrow.locator("#steps button").evaluate_all(wide)) <= 0
+    boxes = [title.bounding_box() for title in narrow.locator("#steps .title").all()]
+    assert all(box["x"] + box["width"] <= after["x"] for box, after in pairwise(boxes))
+    narrow.click("#step-records")
+    sync_api.expect(narrow.get_by_text("Choose a file")).to_be_visible()
+    sync_api.expect(narrow.locator("#identify")).to_be_visible()
 
 
 @pytest.mark.parametrize("scheme", ["light", at_night("dark")])
@@ -261,22 +270,6 @@ def test_the_page_passes_the_accessibility_checks_of_axe(journey, scheme):
         page.click(f"#step-{step}")
         found = axe.run(page, options={"runOnly": TAGS}).response["violations"]
         assert [(finding["id"], [node["html"] for node in finding["nodes"]]) for finding in found] == [], step
-
-
-def test_a_phone_has_room_for_all_steps(journey):
-    page = journey[0]
-    page.set_viewport_size({"width": 400, "height": 900})
-    for step in STEPS:
-        page.click(f"#step-{step}")
-        sync_api.expect(page.locator(f"#step-{step}")).to_be_in_viewport(ratio=0.99)
-    wide = "tabs => tabs.map(tab => [...tab.children].map(one => one.scrollWidth - one.clientWidth)).flat()"
-    assert max(page.locator("#steps button").evaluate_all(wide)) <= 0
-    boxes = [title.bounding_box() for title in page.locator("#steps .title").all()]
-    assert all(box["x"] + box["width"] <= after["x"] for box, after in pairwise(boxes))
-    page.click("#step-records")
-    sync_api.expect(page.get_by_text("Choose a file")).to_be_visible()
-    sync_api.expect(page.locator("#identify")).to_be_visible()
-    page.set_viewport_size({"width": 1400, "height": 900})
 
 
 @pytest.fixture
@@ -321,29 +314,22 @@ def test_a_dropped_record_is_drawn_and_its_identification_can_be_cancelled(perso
     assert person.page.locator("#model-body").is_hidden()
 
 
-def test_the_page_plans_the_voltages_that_the_server_writes(owner, workbench):
+@pytest.mark.parametrize("kind", ["triangle", "raster", at_night("steps")])
+def test_each_scan_can_be_followed_with_the_planned_voltages(owner, workbench, kind):
     """The page computes in WebAssembly, the server by the command: on the path they agree."""
-    owner.step("Path")
-    owner.page.get_by_label("A scan").check()
-    owner.sees("The path can be followed", within="#path")
-    planned = owner.page.locator("#plan-words").inner_text()
-    low, high = (float(number) for number in re.search(r"([\d.]+) to ([\d.]+) V", planned).groups())
-    owner.write_voltage()
-    file = max((workbench.folder / "voltages").iterdir(), key=lambda path: path.stat().st_mtime)
-    table = {column.name: column.data for column in read_table(file).columns}
-    on_path = table["voltage_V"][table["phase"] == table["phase"].max()] if "phase" in table else table["voltage_V"]
-    assert float(on_path.max()) == pytest.approx(high, rel=0.02)
-    assert float(on_path.min()) == pytest.approx(low, abs=2)
-
-
-@pytest.mark.parametrize("kind", ["raster", *map(at_night, ["steps", "triangle"])])
-def test_each_scan_can_be_followed_as_it_is_suggested(owner, kind):
     owner.step("Path")
     owner.page.get_by_label("A scan").check()
     owner.page.get_by_label("Scan", exact=True).select_option(kind)
     owner.until("(kind) => document.querySelector('#scan-kind').value === kind", kind)
     owner.sees("The path can be followed", within="#plan-words")
+    planned = owner.page.locator("#plan-words").inner_text()
+    low, high = (float(number) for number in re.search(r"([\d.]+) to ([\d.]+) V", planned).groups())
     owner.write_voltage()
+    file = max((workbench.folder / "voltages").iterdir(), key=lambda path: path.stat().st_mtime)
+    table = {column.name: column.data for column in read_table(file).columns}
+    on_path = table["voltage_V"][table["phase"] == table["phase"].max()]
+    assert float(on_path.max()) == pytest.approx(high, rel=0.02)
+    assert float(on_path.min()) == pytest.approx(low, abs=2)
 
 
 def test_exports_and_the_script_can_be_downloaded(owner):
