@@ -40,7 +40,7 @@ HOUSE = {
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2700,
-    "lines of tests": 29574,
+    "lines of tests": 29268,
     "lines of benchmarks": 4946,
     "words of docs": 27335,
     "public names": 110,
