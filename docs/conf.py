@@ -5,7 +5,7 @@ from pathlib import Path
 
 import dehyst
 
-sys.path.insert(0, str(Path(__file__).parent / "_extensions"))
+sys.path[:0] = [str(Path(__file__).parent / "_extensions"), str(Path(__file__).parents[1] / "tests" / "support")]
 
 project = "dehyst"
 author = project_copyright = "The dehyst developers"
@@ -44,8 +44,20 @@ autodoc_mock_imports = ["aioca"]
 autosummary_generate = True
 autosummary_ignore_module_all = False
 autosummary_imported_members = True
+
+
+def returned():
+    """Face and name of each class that the public names give, which is described with its room."""
+    import faces
+
+    return [name.rsplit(".", 1) for name in faces.returned().values()]
+
+
 # What `dehyst` offers is described there, and only linked from the pages of the rooms.
-autosummary_context = {"top": sorted(set(dehyst.__all__) - {"__version__"})}
+autosummary_context = {
+    "top": sorted(set(dehyst.__all__) - {"__version__"}),
+    "returned": returned(),
+}
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
 numpydoc_attributes_as_param_list = True

@@ -27,7 +27,7 @@ from dehyst.model import Actuator, knots_of, quasistatic, step_response, turned,
 from dehyst.records import LOADERS, Record
 from dehyst.records import read as read_record
 
-__all__ = ["FleetTable", "identify_fleet"]
+__all__ = ["identify_fleet"]
 
 # The columns of the table, in their order.
 TEXTS = ("record", "reason", "model")

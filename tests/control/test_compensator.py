@@ -14,8 +14,7 @@ import structured_records as wide
 from hypothesis import given
 from hypothesis import strategies as st
 
-import dehyst
-from dehyst import Actuator, ClampWarning, Compensator, DisplacementCreep, Dynamics, ModelError, State
+from dehyst import ClampWarning, Compensator, DisplacementCreep, Dynamics, ModelError, State
 from dehyst.model import turned
 
 PLANT = plain_records.plant(10, seed=4)
@@ -276,13 +275,6 @@ def test_impossible_loops_are_refused(arguments, message):
     given_ = {"model": PLANT, "limits": (0, 100), **arguments}
     with pytest.raises(ModelError, match=message):
         Compensator(given_.pop("model"), given_.pop("limits"), given_.pop("slew_rate", None), **given_)
-
-
-def test_a_period_too_long_for_the_resonance_is_refused():
-    spring, dynamics = dehyst.Spring([0, 5e-6, 1e-5], [0, 0.01, 100]), Dynamics(1e3, 0.0, 1e8)
-    uneven = Actuator(dehyst.MaxwellSlip([], []), spring, dynamics=dynamics)
-    with pytest.raises(ModelError, match="for a resonance"):
-        Compensator(uneven, (0, 100), period=4.5 / dynamics.omega * np.sqrt(1 + 1e8 / 1e7)).step(0.0)
 
 
 @pytest.mark.parametrize("kind", ["plain", "graded", "creep", "moving"])

@@ -138,15 +138,6 @@ def test_a_refusal_by_one_axis_changes_no_axis():
         assert np.array_equal(loop.voltage, before)
 
 
-def test_a_stage_file_keeps_every_bit(tmp_path):
-    known = {"provenance": {"record": "a.csv"}, "recorded_columns": ("vx_V:x_um", "b", "c")}
-    model = replace(stage(), **known)
-    model.save(tmp_path / "stage.json")
-    again = Stage.load(tmp_path / "stage.json")
-    assert again.as_dict() == model.as_dict()
-    assert np.array_equal(again.coupling, model.coupling)
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from dehyst import Record
-from dehyst.identification import Check, Outcome, Readiness, RecordErrors, Trace, Verdict
+from dehyst.identification import Check, Readiness, RecordErrors, Trace, Verdict
 from dehyst.identification.checks import RemainingError
 from dehyst.identification.comparison import rms_over_travel
 from dehyst.identification.expectation import Expectation, HeldOutErrors, expectation, growth, new_branches, validity_of
-from dehyst.model import Promise
+from dehyst.model import Outcome, Promise
 
 STROKE = 1e-5
 ERRORS = RecordErrors("a", "training", 1000, 0, 5e-8, 1e-8, 5e-8, 1e-8, STROKE, 0.0, 0.0, 0.0, 5e-8, 1e-8)

@@ -12,8 +12,8 @@ import structured_records as wide
 
 import dehyst
 from dehyst import Actuator, IdentifyError, Record, RecordError
-from dehyst.identification import Deadline, Outcome, Structure
-from dehyst.model import turned
+from dehyst.identification import Deadline, Structure
+from dehyst.model import Outcome, turned
 from examples import at_night
 
 PLANT, STROKE = plain_records.plant(10), plain_records.STROKE

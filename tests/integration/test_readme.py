@@ -41,7 +41,7 @@ def test_the_code_of_the_readme_runs(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.parametrize("kind", PARTS)
 def test_the_code_of_the_readme_runs_with_every_kind_of_model(kind, monkeypatch, capsys):
-    fit = SimpleNamespace(actuator=anatomy(kind), outcome=dehyst.identification.Outcome.IDENTIFIED, errors=())
+    fit = SimpleNamespace(actuator=anatomy(kind), outcome=dehyst.model.Outcome.IDENTIFIED, errors=())
     monkeypatch.setattr(dehyst, "read", lambda path: None)
     monkeypatch.setattr(dehyst, "identify", lambda record: fit)
     names = {}

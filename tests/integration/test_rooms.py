@@ -8,7 +8,7 @@ from graphlib import CycleError, TopologicalSorter
 import architecture
 import places
 import pytest
-from faces import DRIVERS, FACES
+from faces import DRIVERS, FACES, returned
 
 MODULES = architecture.files()
 # Folders, and single files.
@@ -66,11 +66,12 @@ def test_a_face_only_imports_and_lists(face):
     assert all(isinstance(node, ast.ImportFrom) for node in statements)
 
 
-def test_every_name_of_a_face_is_public_or_imported_by_another_room():
+def test_every_name_of_a_face_is_public_or_returned_or_imported_by_another_room():
     used = {(source, name) for _, source, name in crossing()}
     rivals = map(ast.parse, (path.read_text() for path in places.RIVALS.rglob("*.py")))
     used |= {(statement.module, statement.name) for tree in rivals for statement in architecture.imports(tree)}
     public = {(f"dehyst.{room}", name) for room, names in FACES.items() for name in names}
+    public |= {tuple(name.rsplit(".", 1)) for name in returned().values()} | {("dehyst.cli", "main")}
     assert {(face, name) for face, names in OFFERED.items() for name in names} - used - public == set()
 
 

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from dehyst import Compensator
 from dehyst._errors import ModelError
 from dehyst._io import read_json, write_json
-from dehyst.identification import Outcome
 from dehyst.model import (
     Actuator,
     DisplacementCreep,
@@ -21,6 +20,7 @@ from dehyst.model import (
     GradedSlip,
     Identification,
     MaxwellSlip,
+    Outcome,
     SmoothSlip,
     Spring,
     Stage,

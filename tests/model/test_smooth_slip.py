@@ -116,8 +116,6 @@ def test_a_long_motion_gives_the_largest_elongation():
     assert ACTUATOR.state.smooth.tolist() == SMOOTH.length.tolist()
     slipping = SLIP.friction.sum() + SMOOTH.stiffness @ SMOOTH.length
     assert ACTUATOR.voltage(top) == pytest.approx(float(SPRING(5e-6)) + slipping, rel=1e-14)
-
-
-def test_a_state_with_a_rounding_error_is_accepted():
+    # A state with a rounding error is accepted.
     long = State(0, [0, 0], smooth=SMOOTH.length * (1 + 1e-12))
     assert ACTUATOR.compensate([0.0], state=long).state.smooth.tolist() == SMOOTH.length.tolist()

@@ -12,7 +12,7 @@ import places
 import pytest
 
 import dehyst
-from dehyst.identification import Outcome
+from dehyst.model import Outcome
 
 DATA = places.DATA
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from workbench_page import CHROMIUM, colours
 
-from dehyst.identification import Fit, Outcome, Trace
+from dehyst.identification import Fit, Trace
 from dehyst.identification.expectation import Expectation
-from dehyst.model import Actuator, MaxwellSlip, Promise, Spring
+from dehyst.model import Actuator, MaxwellSlip, Outcome, Promise, Spring
 from dehyst.report import write_report
 
 pytest.importorskip("playwright.sync_api", reason="needs playwright")

@@ -9,9 +9,9 @@ import pytest
 from markup import Page
 
 from dehyst._errors import FileFormatError
-from dehyst.identification import Fit, Outcome, Readiness, RecordErrors, Trace
+from dehyst.identification import Fit, Readiness, RecordErrors, Trace
 from dehyst.identification.expectation import Expectation
-from dehyst.model import Actuator, MaxwellSlip, Promise, Spring
+from dehyst.model import Actuator, MaxwellSlip, Outcome, Promise, Spring
 from dehyst.report import pages, sections
 from dehyst.report.charts import broken
 from dehyst.report.html import spelled

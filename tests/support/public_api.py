@@ -3,7 +3,6 @@
 After an intended change: python tests/support/public_api.py
 """
 
-import importlib
 import inspect
 import re
 import sys
@@ -40,20 +39,15 @@ def of_class(name, kind, public):
 
 
 def of_rooms():
-    """Lines of each public name: values, then functions and classes, each once."""
-    from faces import DRIVERS, FACES
+    """Lines of each public name: values, then functions and classes, each once; then the classes that these return."""
+    from faces import public, returned
 
-    named = {}
-    for room, names in {**FACES, **DRIVERS}.items():
-        module = room if room.startswith("dehyst") else f"dehyst.{room}"
-        for name in names:
-            thing = getattr(importlib.import_module(module), name)
-            if inspect.isclass(thing) or inspect.isfunction(thing):
-                named.setdefault(thing, f"{module}.{name}")
-            else:
-                yield f"{module}.{name}"
+    named = {**public(), **returned()}
     for thing, name in named.items():
-        yield from of_class(name, thing, named) if inspect.isclass(thing) else [f"{name}{signature(thing)}"]
+        if callable(thing):
+            yield from of_class(name, thing, named) if inspect.isclass(thing) else [f"{name}{signature(thing)}"]
+        else:
+            yield name
 
 
 def of_commands():

@@ -12,7 +12,8 @@ import structured_records
 from dehyst import Record, Structure, identify
 from dehyst.control import Compensator, plan_path
 from dehyst.model import turned, with_identification
-from dehyst.report.pages import render, write_insight
+from dehyst.report import write_report
+from dehyst.report.pages import render
 from dehyst.trust import insight
 
 STRUCTURES = {
@@ -71,7 +72,7 @@ def test_insight_works_for_every_structure(name, tmp_path):
     told_ = json.loads(json.dumps(found.as_dict()))
     assert told_["promise"] == found.plan.promise.as_dict()
     assert found.promise.largest == pytest.approx(sum(found.promise.parts.values()))
-    write_insight(tmp_path / "page.html", found)
+    write_report(tmp_path / "page.html", found)
     text = (tmp_path / "page.html").read_text()
     for words in (
         "What the turning points determine",

@@ -11,7 +11,7 @@ from command_line import run
 from scipy.ndimage import shift
 
 from dehyst import Actuator, MaxwellSlip, Record, Spring, identify
-from dehyst.model import Validity, promised, with_identification
+from dehyst.model import Validity, with_identification
 from dehyst.model.branches import branches_of, paces_of
 from dehyst.model.promise import promise
 from dehyst.records import read_table, write_columns, write_record
@@ -65,7 +65,7 @@ def test_five_commands_print_the_same_promise(name, tmp_path):
     write_columns(tmp_path / "path.csv", {"time_s": time, "displacement_um": 8 - 2 * np.cos(2 * np.pi * time / 10)})
     found = answer("identify", "r.csv", "-o", "m.json", cwd=tmp_path)
     model = Actuator.load(tmp_path / "m.json")
-    own = json.loads(json.dumps(promised(model).as_dict()))
+    own = json.loads(json.dumps(model.promise().as_dict()))
     assert own["path"] == "any path like the records"
     assert found["verdict"]["promise"] == own
     assert (found["verdict"]["largest_m"], found["verdict"]["rms_m"]) == (own["largest_m"], own["rms_m"])
@@ -92,10 +92,10 @@ def test_five_commands_print_the_same_promise(name, tmp_path):
     fitted = checked["promise"]
     assert checked["stroke_m"] == fitted["stroke_m"] == own["stroke_m"] == there["stroke_m"]
     assert fitted["path"] == "this path, the whole record from its fitted start"
-    assert fitted["largest_m"] == promised(model, made.voltage, made.time).largest
+    assert fitted["largest_m"] == model.promise(made.voltage, made.time).largest
     # Any path like the records, of the model after the update.
     new = answer("update", "m.json", "r.csv", "-o", "n.json", cwd=tmp_path)["promise"]
-    assert new == json.loads(json.dumps(promised(Actuator.load(tmp_path / "n.json")).as_dict()))
+    assert new == json.loads(json.dumps(Actuator.load(tmp_path / "n.json").promise().as_dict()))
 
 
 @pytest.mark.nightly
@@ -123,7 +123,7 @@ def test_an_unusable_model_has_a_remark_and_status_1(tmp_path):
 
 
 def test_a_model_without_validity_has_no_promise():
-    assert promised(Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0.0, 1e-5], [0.0, 100.0]))) is None
+    assert Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0.0, 1e-5], [0.0, 100.0])).promise() is None
 
 
 def test_a_played_command_is_not_recommended_again(tmp_path):
@@ -144,7 +144,7 @@ def test_a_played_command_is_not_recommended_again(tmp_path):
     assert insight(model, records).record_next == ()
     # A path that holds longer asks for such a hold, until it is recorded.
     clock = np.array([0.0, 10.0, 20.0, 1e3])
-    longer = promised(model, [0.0, 90.0, 40.0, 40.0], clock).untested
+    longer = model.promise([0.0, 90.0, 40.0, 40.0], clock).untested
     assert [gap.what for gap in longer][-1] == "hold"
     assert run(*shlex.split(longer[-1].command)[1:], "--sample-rate", "8", cwd=tmp_path)[0] == 0
 

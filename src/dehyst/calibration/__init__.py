@@ -4,4 +4,4 @@ from dehyst.calibration.experiment import Calibration, calibrate
 from dehyst.calibration.plan import Plan
 from dehyst.calibration.tracking import TrackedPath
 
-__all__ = ["Calibration", "Plan", "TrackedPath", "calibrate"]
+__all__ = ["Plan", "calibrate"]

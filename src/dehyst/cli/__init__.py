@@ -1,5 +1,3 @@
 """The command line: the operations as commands."""
 
 from dehyst.cli.commands import main
-
-__all__ = ["main"]

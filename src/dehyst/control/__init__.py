@@ -2,7 +2,7 @@
 
 from dehyst.control.axis import Axis
 from dehyst.control.bank import Bank
-from dehyst.control.compensator import Compensator, model_block, only_axis
+from dehyst.control.compensator import Compensator, only_axis
 from dehyst.control.feedback import Feedback
 from dehyst.control.limits import Clamps, ClampWarning, SensorFault, SensorWarning, VoltageLimits, outside_identified
 from dehyst.control.planning.homing import Homing, shortest_homing
@@ -17,16 +17,11 @@ __all__ = [
     "ClampWarning",
     "Compensator",
     "Feedback",
-    "Homing",
     "PathPlan",
     "PossibleStart",
     "Repetition",
-    "SensorFault",
     "SensorWarning",
-    "StartError",
     "VoltageLimits",
-    "WaveTable",
-    "model_block",
     "plan_path",
     "shortest_homing",
     "wave_table",

@@ -302,6 +302,14 @@ class Compensator:
         """
         restore_all(self._axes, [snapshot] if self._single else snapshot)
 
+    def model_block(self) -> bytes:
+        """Return actuator, limits, period and start as the block that `dehyst_model_load` reads in C.
+
+        The block is the same for every processor and number type and has a checksum. Its start is the state at the
+        construction or the last reset. Raise `ModelError` for several axes.
+        """
+        return only_axis(self).block()
+
     def scale(self, gain: Any = None, offset: Any = 0.0, *, temperature: Any = None) -> Any:
         """Set gain and offset * of the displacement between two steps, and return the present ones.
 
@@ -366,15 +374,6 @@ class Compensator:
         if numbers.size != count:
             raise ModelError(argument=what, got=f"{numbers.size} values", need=f"{count}, one per axis")
         return list(numbers.tolist())
-
-
-def model_block(compensator: Compensator) -> bytes:
-    """Return actuator, limits, period and start of a `compensator` as the block that `dehyst_model_load` reads in C.
-
-    The block is the same for every processor and number type and has a checksum. Its start is the state at the
-    construction or the last reset of the compensator. Raise `ModelError` if it has several axes.
-    """
-    return only_axis(compensator).block()
 
 
 def only_axis(compensator: object) -> Axis:

@@ -295,7 +295,7 @@ def _tested_to(actuator: Actuator) -> float:
     A resonance at f0 enlarges a motion at f by a share of (f / f0)^2. The model has the same gain for slow and fast
     branches, so the largest error of the records contains this difference.
     """
-    tested = actuator.identification.validity if actuator.identification else None
+    tested = actuator.identification.validity
     if tested is None or actuator.dynamics is not None:
         return 0.0
     paces = tested.rates, np.divide(tested.speeds, tested.span)

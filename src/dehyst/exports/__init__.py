@@ -5,4 +5,4 @@ from dehyst.exports.naming import shipped
 from dehyst.exports.targets import export
 from dehyst.exports.wasm import wasm_module
 
-__all__ = ["SourceOnlyWarning", "export", "wasm_module"]
+__all__ = ["export"]

@@ -1,5 +1,6 @@
 """Identification: from records to an actuator."""
 
+from dehyst.identification.checks import RemainingError
 from dehyst.identification.cleaning import cycle_time
 from dehyst.identification.comparison import (
     RecordComparison,
@@ -14,7 +15,7 @@ from dehyst.identification.comparison import (
 )
 from dehyst.identification.coupling import SEPARATE, Plays, StageFit, refuse_still
 from dehyst.identification.events import filled
-from dehyst.identification.expectation import Readiness
+from dehyst.identification.expectation import Expectation, Readiness
 from dehyst.identification.fit import Fit
 from dehyst.identification.frame import FOLDS, part_of, without_offset
 from dehyst.identification.identifiability import Identifiability, identifiability, probed
@@ -26,19 +27,5 @@ from dehyst.identification.regressors import epochs
 from dehyst.identification.results import Check, RecordErrors, Trace, Verdict
 from dehyst.identification.settings import Deadline
 from dehyst.identification.structure import Grid, Structure
-from dehyst.model import Outcome
 
-__all__ = [
-    "Check",
-    "Deadline",
-    "Fit",
-    "Outcome",
-    "RecordErrors",
-    "StageFit",
-    "Structure",
-    "Trace",
-    "Verdict",
-    "identify",
-    "initial_state",
-    "state_after",
-]
+__all__ = ["Deadline", "Fit", "Structure", "identify", "initial_state", "state_after"]

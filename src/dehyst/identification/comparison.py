@@ -25,7 +25,7 @@ from dehyst.identification.rules import RULES
 from dehyst.identification.solver import ActiveSet
 from dehyst.identification.start_state import StartState, fit_start, fit_strained
 from dehyst.identification.structure import Grid
-from dehyst.model import Actuator, Identification, State, at_reference, major_loop, needs_time, stroke_of, voltages_of
+from dehyst.model import Actuator, State, at_reference, major_loop, needs_time, stroke_of, voltages_of
 from dehyst.records import Record, counting, largest, rms, thinned, turning_points, usable
 
 # Largest number of rows; a longer record is thinned evenly.
@@ -305,7 +305,7 @@ def prepare_for(actuator: Actuator, record: Record) -> Prepared:
 
     Its voltages are moved in time by the lead of the identification; the model fills what lies between events.
     """
-    known = actuator.identification or Identification()
+    known = actuator.identification
     measured = at_reference(actuator, filled(thinned(record)))
     if known.lead and record.hold == "line":
         measured = earlier(measured, known.lead)
@@ -327,7 +327,7 @@ def earlier(record: Record, seconds: float) -> Record:
 def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple[RecordComparison, ...]:
     """Compare an actuator with records, by the options of its identification and as parts of its stroke."""
     prepared = [prepare_for(actuator, record).with_block(len(record) / MOST_ROWS) for record in as_list(records)]
-    known = actuator.identification or Identification()
+    known = actuator.identification
     zero, stroke = 0.0 if known.shared_zero else None, stroke_of(actuator)
     with one_thread():
         return tuple(

@@ -30,7 +30,7 @@ from dehyst.identification.rules import RULES
 from dehyst.identification.search import Fitted, Trial
 from dehyst.identification.settings import Deadline, Settings
 from dehyst.identification.structure import Structure
-from dehyst.model import Actuator, Identification, Outcome, promised, with_identification
+from dehyst.model import Actuator, Identification, Outcome, with_identification
 from dehyst.records import Record, guesses, recorded_slew_rate, resolution, rms
 
 # An offset of a record is significant from this part of the voltage range and this ratio of errors without and with it.
@@ -371,7 +371,7 @@ class _Run:
         first += [" ".join(dict.fromkeys(guessed))] if guessed else []
         self.remarks = first + self.remarks + messages.of_rare_voltages(self.training, self.limits)
         for item in self.held_out:
-            played = promised(actuator, item.record.voltage)
+            played = actuator.promise(item.record.voltage)
             gaps = () if played is None else played.untested
             self.remarks += [f"{item.name}: {gap.sentence}" for gap in gaps if gap.what == "voltages"]
 

@@ -2,7 +2,7 @@
 
 from dehyst.model.actuator import Actuator, evaluator_of
 from dehyst.model.base import AbstractModel, Motion, State
-from dehyst.model.branches import CELLS, branches_of, distances, excitation, paces_of, sampled, tested_loops
+from dehyst.model.branches import CELLS, Untested, branches_of, distances, excitation, paces_of, sampled, tested_loops
 from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal, mechanical_response
 from dehyst.model.elements import (
     GradedSlip,
@@ -15,9 +15,9 @@ from dehyst.model.elements import (
     segment_of,
 )
 from dehyst.model.evaluator import PathData
-from dehyst.model.identification import Identification, Outcome, slew_rate_of_records, with_identification
+from dehyst.model.identification import Identification, Outcome, with_identification
 from dehyst.model.physical import Physical
-from dehyst.model.promise import USELESS, Promise, Validity, promised, untested
+from dehyst.model.promise import USELESS, Promise, Validity, untested
 from dehyst.model.stage import Stage, apply, by_axis, dot, inverse, matrix_lines
 from dehyst.model.states import (
     NEAR,
@@ -43,25 +43,19 @@ from dehyst.model.states import (
     voltages_of,
 )
 from dehyst.model.summary import parts_of, step_response
-from dehyst.model.temperatures import demand_thermal, temperature_columns, temperature_range, tested_temperatures
+from dehyst.model.temperatures import demand_thermal, temperature_columns, temperature_range
 
 __all__ = [
-    "AbstractModel",
     "Actuator",
     "DisplacementCreep",
     "Dynamics",
     "GradedSlip",
-    "Identification",
     "MaxwellSlip",
-    "Motion",
     "Physical",
-    "Promise",
     "SmoothSlip",
     "Spring",
     "Stage",
     "State",
     "Thermal",
     "Transformer",
-    "promised",
-    "simulated",
 ]

@@ -23,6 +23,7 @@ from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, T
 from dehyst.model.entries import JsonFile, Numbers, entry, instance, mapping, text
 from dehyst.model.evaluator import Evaluator, PathData, least_slope
 from dehyst.model.identification import Identification
+from dehyst.model.promise import Promise, promise
 from dehyst.model.states import Range, turned
 
 # The voltage of a state is a sum: it has an error of at most this part of the spring's range.
@@ -62,7 +63,7 @@ class Actuator(Plotted, JsonFile, AbstractModel):
     provenance : Mapping, optional
         Source of the numbers, for people; JSON values only. It has no effect on any result.
     identification : Identification, optional
-        How the numbers were identified, and their errors; default: not known.
+        How the numbers were identified, and their errors; default: nothing is known.
     transformer : Transformer, optional
         The curve tau(v); default: tau(v) = v.
     dynamics : Dynamics, optional
@@ -99,7 +100,7 @@ class Actuator(Plotted, JsonFile, AbstractModel):
     delay: float = entry("delay_s", Numbers(least=0.0), 0.0)
     name: str = entry("name", text, "actuator")
     provenance: Mapping[str, Any] = entry("provenance", mapping, factory=dict)
-    identification: Identification | None = entry("identification", instance(Identification, optional=True), None)
+    identification: Identification = entry("identification", instance(Identification, optional=True), None)
     transformer: Transformer | None = entry("transformer", instance(Transformer, optional=True), None)
     dynamics: Dynamics | None = entry("dynamics", instance(Dynamics, optional=True), None)
     lag: float = entry("lag_s", _LAG, 0.0)
@@ -111,13 +112,19 @@ class Actuator(Plotted, JsonFile, AbstractModel):
     thermal: Thermal | None = entry("thermal", instance(Thermal, optional=True), None)
 
     def _demand_together(self) -> None:
-        """Complete the state; raise `ModelError` if parts do not fit each other."""
+        """Complete state and identification; raise `ModelError` if parts do not fit each other."""
+        keep(self, identification=self.identification or Identification())
         least_slope(self.slip, self.spring)
         if self.state is None:
             keep(self, state=turned(self, states.knots_of(self)[1]))
         self._start(self.state)
         _ = self._evaluator.core  # checks whether the parts fit each other
         states.demand_recorded(self)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return JSON values in SI units; `from_dict` reads them back without loss."""
+        known = {} if self.identification != Identification() else {"identification": None}
+        return super().as_dict() | known
 
     def __repr__(self) -> str:
         from dehyst.model.summary import one_line
@@ -295,6 +302,27 @@ class Actuator(Plotted, JsonFile, AbstractModel):
     def displacement(self, state: State | None = None) -> float:
         """Return the displacement [m] of the actuator in a `state`, by default ``self.state``, without a load."""
         return self._evaluator.displacement(self._start(state))
+
+    def promise(
+        self, voltage: ArrayLike | None = None, time: ArrayLike | None = None, **options: Any
+    ) -> Promise | None:
+        """Return the error to expect of a path, by default of any path like the records; None without a `Validity`.
+
+        Parameters
+        ----------
+        voltage : (n,) array_like, optional
+            Voltage that follows the path [V].
+        time : (n,) array_like, optional
+            Time of the voltage [s]; without it, speeds and holds are assumed to be as in the records.
+        temperature : float or (n,) array_like, optional
+            Temperature of the path [degC]; default: not known.
+        begins, waits, opened, missed : optional
+            What a plan knows of its start, and of samples that its limits clamp; `dehyst.plan_path` gives them.
+        """
+        tested, thermal, creep = self.identification.validity, self.thermal, self.displacement_creep
+        if tested is None:
+            return None
+        return promise(tested, voltage, time, thermal=thermal, creep=creep, **options)
 
     def margins(self, period: float, margin_db: float = 6.0, *, preview: bool = False) -> tuple[float, float]:
         """Return the largest safe gain of a feedback around the compensator, and the bandwidth of that feedback.

@@ -99,9 +99,4 @@ class Identification(Entries):
 
 def with_identification(actuator: Actuator, **entries: Any) -> Actuator:
     """Return an actuator whose identification holds `entries`, fields of `Identification`."""
-    return replace(actuator, identification=replace(actuator.identification or Identification(), **entries))
-
-
-def slew_rate_of_records(actuator: Actuator) -> float | None:
-    """Return the largest abs(dv/dt) [V/s] of the records of an `actuator`; None if it is not known."""
-    return None if actuator.identification is None else actuator.identification.slew_rate
+    return replace(actuator, identification=replace(actuator.identification, **entries))

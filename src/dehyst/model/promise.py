@@ -370,20 +370,6 @@ def promise(
     return Promise(words, rms_, largest, parts, half, validity.stroke, offset, delay, tuple(untested))
 
 
-def promised(
-    actuator: Actuator, voltage: ArrayLike | None = None, time: ArrayLike | None = None, **options: Any
-) -> Promise | None:
-    """Return the promised error of a path of an `actuator`; None if it has no `Validity`.
-
-    `options`: options of `promise`, except the parts of the model.
-    """
-    known = actuator.identification
-    if known is None or known.validity is None:
-        return None
-    thermal, creep = actuator.thermal, actuator.displacement_creep
-    return promise(known.validity, voltage, time, thermal=thermal, creep=creep, **options)
-
-
 def untested(actuator: Actuator, found: Promise | None, temperature: ArrayLike | None = None) -> tuple[str, ...]:
     """Return sentences: whether an `actuator` is usable for a path, and what its records do not test.
 

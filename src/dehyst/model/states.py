@@ -36,11 +36,11 @@ NEAR = 0.01
 
 def demand_recorded(actuator: Actuator) -> None:
     """Raise `ModelError` if the limits exceed the voltages of the records by over 2 % of their range."""
-    known = actuator.identification
-    if actuator.limits is None or known is None or known.validity is None:
+    tested = actuator.identification.validity
+    if actuator.limits is None or tested is None:
         return
-    recorded = Range(*known.validity.limits)
-    margin = _AS_RECORDED * known.validity.span
+    recorded = Range(*tested.limits)
+    margin = _AS_RECORDED * tested.span
     allowed = Range(recorded.low - margin, recorded.high + margin)
     if allowed.joined(actuator.limits) != allowed:
         raise ModelError(
@@ -145,8 +145,8 @@ def voltage_error(got: tuple[float, float], identified: Range) -> str:
 
 def stroke_of(actuator: Actuator) -> float:
     """Return the full stroke [m]: the range of the widest loop of the records; without records, of `reach`."""
-    known = actuator.identification
-    return float(np.ptp(actuator.reach)) if known is None or known.validity is None else known.validity.stroke
+    tested = actuator.identification.validity
+    return float(np.ptp(actuator.reach)) if tested is None else tested.stroke
 
 
 def voltages_of(actuator: Actuator) -> Range:

@@ -44,8 +44,7 @@ def parts_of(actuator: Actuator) -> tuple[Part, ...]:
             parts.append(describe(part, actuator))
     if actuator.delay:
         late = f"The measured displacement lags the voltage by {_seconds(actuator.delay)}"
-        lags = "" if actuator.identification is None else actuator.identification.lag_of
-        parts.append(Part("Delay", f"{late}; {_LATE[lags]}."))
+        parts.append(Part("Delay", f"{late}; {_LATE[actuator.identification.lag_of]}."))
     if actuator.lag:
         late = f"The acting voltage lags the command by {_seconds(actuator.lag)}"
         parts.append(Part("Amplifier", f"{late}; it is compensated."))
@@ -165,8 +164,8 @@ def _seconds(time: float) -> str:
 
 def _ranges(actuator: Actuator) -> tuple[str, str]:
     """Return the limits and the stroke in words; without records the stroke is the range of the spring's knots."""
-    limits, known = actuator.limits, actuator.identification
-    within = np.ptp(actuator.spring.displacement) if known is None or known.validity is None else known.validity.stroke
+    limits, tested = actuator.limits, actuator.identification.validity
+    within = np.ptp(actuator.spring.displacement) if tested is None else tested.stroke
     return "no voltage limits" if limits is None else ends(*limits, "V"), f"stroke {length(float(within))}"
 
 

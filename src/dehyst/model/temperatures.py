@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,9 +15,6 @@ from dehyst._validation import plain
 from dehyst._views.lines import percent
 from dehyst.model.dynamics import Thermal
 from dehyst.records import Record
-
-if TYPE_CHECKING:
-    from dehyst.model.actuator import Actuator
 
 # A model that does not depend on temperature counts as tested up to this distance [K] from the records.
 NEAR_KELVINS = 2.0
@@ -33,12 +29,6 @@ def temperature_range(records: Iterable[Record]) -> tuple[float, float] | None:
     if not known or len(known) < len(found):
         return None
     return min(float(values.min()) for values in known), max(float(values.max()) for values in known)
-
-
-def tested_temperatures(actuator: Actuator) -> tuple[float, float] | None:
-    """Return the lowest and highest temperature [degC] of the records of an `actuator`; None if not known."""
-    known = actuator.identification
-    return None if known is None or known.validity is None else known.validity.temperatures
 
 
 def words_of(temperatures: Iterable[float]) -> str:

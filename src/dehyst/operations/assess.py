@@ -19,7 +19,7 @@ from dehyst.operations.files import AS_FOUND, COLUMNS, RECORD, Columns, columns_
 from dehyst.operations.paths import read_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import percent, read_table
-from dehyst.report import write_insight
+from dehyst.report import write_report
 from dehyst.trust import Insight, Recheck, StageInsight, Update
 from dehyst.trust import check as check_one
 from dehyst.trust import insight as insight_one
@@ -69,7 +69,7 @@ def insight(
         found, head = (assessed,), []
     if report is not None:
         run.progress("drawing the page")
-        write_insight(report, assessed, command=run.command)
+        write_report(report, assessed, command=run.command)
 
     def lines(*, full: bool) -> list[str]:
         parts = zip(known.axes, found, strict=True)

@@ -115,8 +115,7 @@ class AxesModel:
         """Read a model; warn if its identification was not usable."""
         if not is_stage(path):
             actuator = Actuator.load(path)
-            known = actuator.identification
-            outcome = None if known is None else known.outcome
+            outcome = actuator.identification.outcome
             if outcome is not None and not outcome.good:
                 run.note(f"{path}: when this model was identified: {outcome.value}")
             return cls(None, (actuator,), ("",))
@@ -130,8 +129,7 @@ class AxesModel:
         """
         rates, lines = [], []
         for actuator, rate in zip(self.actuators, given.of(self.axes), strict=True):
-            known = actuator.identification
-            kept = None if known is None or rate is not None else known.allowed_slew_rate
+            kept = None if rate is not None else actuator.identification.allowed_slew_rate
             rates.append(kept if rate is None else None if rate == math.inf else rate)
             words = f"slew rate: at most {kept or 0:.4g} V/s, which the model keeps; --slew-rate sets another"
             lines.append([words] if kept else [])
@@ -194,15 +192,15 @@ class AxesModel:
         """Read a record: by the given columns, else by those of the model's own records, else by the usual names."""
         if self.stage is not None:
             return read(path, columns if columns.axes else replace(columns, axes=self.recorded()))
-        known = self.actuators[0].identification
-        if columns != AS_FOUND or known is None or not known.columns:
+        known = self.actuators[0].identification.columns
+        if columns != AS_FOUND or not known:
             return read(path, columns)
-        kept = Columns.parse(known.columns)
+        kept = Columns.parse(known)
         table = table_of(path, kept)
         names = ((quantity, getattr(kept, quantity)) for quantity in ("time", "voltage", "displacement"))
         if any(name is not None and table.fitting(quantity, name) != 1 for quantity, name in names):
             return read(path, columns)
-        run.note(f"{path.name}: read by the columns of the model's own records, {known.columns}; --columns sets others")
+        run.note(f"{path.name}: read by the columns of the model's own records, {known}; --columns sets others")
         return record_of(table, kept, path.stem)
 
     def recorded(self) -> dict[str, str]:

@@ -11,7 +11,7 @@ from dehyst.operations.command import INPUT, REPORT, argument, command, option
 from dehyst.operations.files import COLUMNS, RECORD, Columns
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import read
-from dehyst.report import write_comparison
+from dehyst.report import write_report
 from dehyst.trust import ModelComparison
 from dehyst.trust import compare as run_comparison
 from dehyst.trust.comparison import OURS, RIVALS, ModelScore, contenders
@@ -35,7 +35,7 @@ def compare(
     training, held_out = ([read(path, columns) for path in paths] for paths in (records, validate))
     found = run_comparison(training, validate=held_out, models=_chosen(only), progress=run.progress)
     if report is not None:
-        write_comparison(report, found, command=run.command)
+        write_report(report, found, command=run.command)
     good = not any(row.failure for row in found.rows if row.name == OURS)
     lines, more = ([*_lines(found, full=full), *files(Report=report)] for full in (False, True))
     return Result(found.as_dict(), lines, more, good=good)

@@ -15,7 +15,7 @@ from dehyst._units import FACTORS
 from dehyst._views.lines import ends
 from dehyst.control import Compensator, PathPlan, VoltageLimits
 from dehyst.control.limits import unit_hint
-from dehyst.model import USELESS, Actuator, Promise, demand_thermal, tested_temperatures
+from dehyst.model import USELESS, Actuator, Promise, demand_thermal
 from dehyst.operations.axes import AxesModel, Limits
 from dehyst.operations.command import number
 from dehyst.operations.files import PATH, Columns, clock_of
@@ -78,7 +78,8 @@ def temperature_of(
         demand_thermal(*(actuator.thermal for actuator in known.actuators))
     elif not own:
         return None
-    if not any(actuator.thermal or tested_temperatures(actuator) for actuator in known.actuators):
+    tested = [actuator.identification.validity for actuator in known.actuators]
+    if not any(actuator.thermal for actuator in known.actuators) and not any(own.temperatures for own in tested if own):
         remark(f"temperature: {listed(own)} of the file is not used, as the model does not depend on temperature")
         return None
     if columns.temperature is None and len(own) > 1:

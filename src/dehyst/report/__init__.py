@@ -2,7 +2,7 @@
 
 from dehyst.report import plots
 from dehyst.report.html import MINUS, Row, document, table
-from dehyst.report.pages import write_comparison, write_insight, write_report
+from dehyst.report.pages import write_report
 from dehyst.report.plots import COLUMN, INK, PAGE, Drawing
 
-__all__ = ["write_comparison", "write_insight", "write_report"]
+__all__ = ["write_report"]

@@ -1,4 +1,4 @@
-"""Pages about an identification or a calibration, an assessment, a comparison, and a record."""
+"""Pages about an identification or a calibration, an assessment, and a comparison."""
 
 from __future__ import annotations
 
@@ -22,32 +22,37 @@ NONE: Mapping[str, TrackedPath] = {}
 
 def write_report(
     path: PathLike,
-    fit: Fit | StageFit,
+    found: Fit | StageFit | Insight | StageInsight | ModelComparison,
     *,
     command: str | None = None,
     insight: Insight | None = None,
     followed: Mapping[str, TrackedPath] = NONE,
 ) -> None:
-    """Write a report of `fit` to a self-contained HTML file.
+    """Write a result to a self-contained HTML file.
 
     Parameters
     ----------
     path : path-like
         Replaced if it exists; never left half written.
-    fit : Fit or StageFit
+    found : Fit, StageFit, Insight, StageInsight or ModelComparison
+        Result of `dehyst.identify`, `dehyst.insight` or `dehyst.compare`.
     command : str, optional
         The command line to show.
     insight : Insight, optional
-        Assessment of the model of one axis, to show too.
+        With a fit of one axis: the assessment of its model, to show too.
     followed : mapping of str to TrackedPath, optional
-        Measurements along a path, by the kind of its voltage.
+        With a fit: measurements along a path, by the kind of its voltage.
 
     Raises
     ------
     FileFormatError
         If the file cannot be written.
     """
-    write_atomically(path, render(fit, command, insight, followed))
+    if isinstance(found, Fit | StageFit):
+        text = render(found, command, insight, followed)
+    else:
+        text = _compared(found, command) if isinstance(found, ModelComparison) else _assessed(found, command)
+    write_atomically(path, text)
 
 
 def render(
@@ -56,7 +61,7 @@ def render(
     insight: Insight | None = None,
     followed: Mapping[str, TrackedPath] = NONE,
 ) -> str:
-    """Return the text of the report; the same text for the same `fit`."""
+    """Return the text of the report of a fit; the same text for the same `fit`."""
     if isinstance(fit, Fit):
         name = fit.actuator.name if fit.actuator else "Actuator not identified"
         head: list[Part] = [f"<h1>{escape(name)}</h1>", *_report(fit, insight, followed, command)]
@@ -126,11 +131,8 @@ def _text(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
 
 
-def write_insight(path: PathLike, found: Insight | StageInsight, *, command: str | None = None) -> None:
-    """Write an assessment to a self-contained HTML file.
-
-    `path`, `command` and errors are as in `write_report`; `found` is the assessment, of one axis or of several.
-    """
+def _assessed(found: Insight | StageInsight, command: str | None) -> str:
+    """Return the page of an assessment, of one axis or of several."""
     if isinstance(found, Insight):
         name, parts = found.actuator.name, _insight(found)
     else:
@@ -140,7 +142,7 @@ def write_insight(path: PathLike, found: Insight | StageInsight, *, command: str
         for axis, insight in zip(found.axes, found.insights, strict=True):
             parts += [f"<h2 class='axis'>Axis {escape(axis)}</h2>", *_insight(insight)]
     head = f"<h1>{escape(name)}: how far to trust the model</h1>"
-    write_atomically(path, document(f"{name}: insight", [head, *parts, reproduction(command)]))
+    return document(f"{name}: insight", [head, *parts, reproduction(command)])
 
 
 def _insight(found: Insight) -> list[Part]:
@@ -160,15 +162,12 @@ _FEWEST_BARS, _LONGEST = 2, 6.0
 _ROLES = {"validation": "Held out", "training": "Training"}
 
 
-def write_comparison(path: PathLike, found: ModelComparison, *, command: str | None = None) -> None:
-    """Write a comparison to a self-contained HTML file.
-
-    `path`, `command` and errors are as in `write_report`, but nothing is drawn; `found` is the comparison.
-    """
+def _compared(found: ModelComparison, command: str | None) -> str:
+    """Return the page of a comparison."""
     best = "" if found.best is None else f"<p>{escape(str(found.best))}</p>"
     failures = (f"{escape(row.name)}: {escape(row.failure)}" for row in found.rows if row.failure)
     parts = ["<h1>Models compared</h1>", best, _bars(found), _scores(found), bullets("Failures", failures)]
-    write_atomically(path, document("Models compared", [*parts, reproduction(command)]))
+    return document("Models compared", [*parts, reproduction(command)])
 
 
 def _bars(found: ModelComparison) -> str:

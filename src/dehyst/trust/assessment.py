@@ -25,7 +25,7 @@ from dehyst.identification import (
     identifiability,
     probed,
 )
-from dehyst.model import Actuator, Promise, Stage, by_axis, excitation, matrix_lines, promised, sampled, voltages_of
+from dehyst.model import Actuator, Promise, Stage, by_axis, excitation, matrix_lines, sampled, voltages_of
 from dehyst.records import Record, largest
 from dehyst.trust.recheck import coupling_of
 from dehyst.trust.turn_plane import TurnPlane, turn_plane
@@ -49,7 +49,7 @@ def insight(
     Parameters
     ----------
     model : Actuator or Stage
-        For a stage, each of its actuators and its coupling are assessed: the result is a `StageInsight`.
+        For a stage, each of its actuators and its coupling are assessed.
     records : Record or sequence of Record
         The records that the model was identified from.
     plan : PathPlan, optional
@@ -57,6 +57,10 @@ def insight(
         like the records.
     progress : callable, optional
         Called with a short text at each step.
+
+    Returns
+    -------
+    Insight or StageInsight
 
     Raises
     ------
@@ -84,8 +88,8 @@ class Insight(Plotted):
     ----------
     actuator : Actuator
         The model.
-    comparisons : tuple of RecordComparison
-        Each record on the model's axis.
+    comparisons : tuple
+        Each record on the model's axis, for the program's own use.
     plan : PathPlan or None
         The path that is judged; None: any path like the records.
     """
@@ -102,7 +106,7 @@ class Insight(Plotted):
     @property
     def promise(self) -> Promise | None:
         """The promised error of the path; None if the model file lacks what its records tested."""
-        return promised(self.actuator) if self.plan is None else self.plan.promise
+        return self.actuator.promise() if self.plan is None else self.plan.promise
 
     @property
     def expected(self) -> tuple[str, ...]:
@@ -170,8 +174,8 @@ class Insight(Plotted):
 
     def _of_others(self) -> str:
         """Return a warning if the records are not those that the model was identified from."""
-        missed, known = 100 * self.misfit / self.stroke, self.actuator.identification
-        own, sources = None if known is None else known.largest_error, str(self.actuator.provenance)
+        missed, own = 100 * self.misfit / self.stroke, self.actuator.identification.largest_error
+        sources = str(self.actuator.provenance)
         sums = [str(item.given.record.meta.get("sha256", "none")) for item in self.comparisons]
         # A record with a drift, which the identification removed, is not another one.
         if own is None or missed <= _WORTH or self.misfit <= _TIMES * own or all(each in sources for each in sums):

@@ -29,13 +29,11 @@ from dehyst.identification import (
 )
 from dehyst.model import (
     Actuator,
-    Identification,
     Promise,
     Stage,
     State,
     by_axis,
     excitation,
-    promised,
     sampled,
     stroke_of,
     untested,
@@ -314,7 +312,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         raise IdentifyError(argument="record", got=type(record).__name__, need="a record", hint=hint)
     if isinstance(model, Stage):
         return _check_stage(model, record, goal)
-    actuator, origin = model, model.identification or Identification()
+    actuator, origin = model, model.identification
     goal = (origin.goal or _GOAL) if goal is None else goal
     goal = _validation.Numbers(least=1e-3, most=100.0, error=IdentifyError)(goal, "goal")
     with one_thread():
@@ -323,7 +321,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         stroke = stroke_of(actuator)
         compared = compare(actuator, prepared, stroke, zero=zero_by_voltages(actuator, prepared, stroke))
         errors, trace = errors_of(actuator, compared, "validation")
-        promise = promised(actuator, record.voltage, record.time, temperature=record.temperature, begins="fitted")
+        promise = actuator.promise(record.voltage, record.time, temperature=record.temperature, begins="fitted")
         begin = _judged_from(actuator, trace, errors.starts[0], promise)
     slow, cycle = origin.drift and prepared.can_drift, prepared.cycle
     error, drift = _steadied(trace) if slow else (trace.residual - trace.residual.mean(), 0.0)

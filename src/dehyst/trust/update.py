@@ -32,7 +32,6 @@ from dehyst.model import (
     Validity,
     by_axis,
     major_loop,
-    promised,
     voltages_of,
     with_identification,
 )
@@ -105,7 +104,7 @@ class Update:
     @property
     def promise(self) -> Promise | None:
         """The promised error of any path within the recorded voltages; None if it is not known."""
-        return promised(self.actuator)
+        return self.actuator.promise()
 
     @property
     def good(self) -> bool:
@@ -214,8 +213,8 @@ class _Refit:
         zero = next(change.value for change in recheck.changes if change.name == "zero")
         # A smaller change of the zero may come from the stage: from earlier creep, or from a gain.
         self.zero = -zero if abs(zero) > _KEPT * recheck.stroke else 0.0
-        known = actuator.identification
-        self.own = recheck.noise if known is None or known.validity is None else known.validity.rms
+        tested = actuator.identification.validity
+        self.own = recheck.noise if tested is None else tested.rms
 
     def update(self) -> Update:
         """Update, and judge."""
@@ -360,15 +359,15 @@ class _Refit:
 
         A record that confirms the promise does not widen it.
         """
-        noise, known = self.recheck.noise, self.old.identification
-        if known is None or known.validity is None:
+        noise, tested = self.recheck.noise, self.old.identification.validity
+        if tested is None:
             return None
         most, missed = (beyond_noise(error, noise)[k] for k, error in enumerate((after, held_out)))
         most, missed = (0.0, 0.0) if self.recheck.kept else (most, missed)
         lag = next(change for change in self.recheck.changes if change.name == "lag")
         # The update may take a lag for a width, unless the record names the change by itself.
         named = any(len(change.parts) == 1 for change in self.recheck.changed)
-        validity = _with_record(known.validity, self.record, missed, most, alone=used and not named)
+        validity = _with_record(tested, self.record, missed, most, alone=used and not named)
         error = lag.error if lag.counts else 0.0 if named else abs(lag.value)
         error, delay = max(error, validity.lag_error), self.old.delay + self.old.lag
         return replace(validity, lag=delay, lag_error=error) if used else validity
@@ -387,7 +386,7 @@ class _Refit:
         names = [name for name, part in kept.items() if part]
         if names:
             missing.append(f"Not fitted again: {', '.join(names)} and the ratios of thresholds.")
-        before, after = (known and known.validity for known in (self.given.identification, made.identification))
+        before, after = (own.identification.validity for own in (self.given, made))
         if before and after and after.speeds[1] < before.speeds[1]:
             missing.append(f"Branches faster than {after.speeds[1]:.3g} V/s count as not tested.")
         return tuple(missing)

@@ -21,8 +21,6 @@ __all__ = [
     "Excitation",
     "Raster",
     "Sampling",
-    "Scan",
-    "ScanPath",
     "Steps",
     "Triangle",
     "descending_tops",

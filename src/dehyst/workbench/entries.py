@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dehyst.model import needs_time, slew_rate_of_records, voltages_of
+from dehyst.model import needs_time, voltages_of
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.run import Run
 from dehyst.workbench.jobs import Finished
@@ -136,7 +136,7 @@ class ModelEntry:
                 "name": axis,
                 "range_v": list(voltages_of(actuator)),
                 "range_um": [end * _MICRO for end in actuator.reach],
-                "slew_v_per_s": slew_rate_of_records(actuator),
+                "slew_v_per_s": actuator.identification.slew_rate,
             }
             for axis, actuator in zip(known.axes, known.actuators, strict=True)
         ]
@@ -144,7 +144,7 @@ class ModelEntry:
         for name in ("range_v", "range_um"):
             setattr(self, name, [min(axis[name][0] for axis in each), max(axis[name][1] for axis in each)])
         self.slew_v_per_s = min((axis["slew_v_per_s"] for axis in each if axis["slew_v_per_s"]), default=None)
-        tested = [own.identification.validity for own in known.actuators if own.identification]
+        tested = [own.identification.validity for own in known.actuators]
         self.fastest_v_per_s = min((v.speeds[1] for v in tested if v and v.speeds[1]), default=self.slew_v_per_s)
         self.timed = any(map(needs_time, known.actuators)) or any(known.slews()[0])
 

@@ -26,11 +26,9 @@ from dehyst.model import (
     State,
     apply,
     evaluator_of,
-    promised,
     standing,
     state_at,
     temperature_columns,
-    tested_temperatures,
     untested,
 )
 from dehyst.records import impossible
@@ -151,8 +149,7 @@ class Part:
 
     def lead(self, on_time: bool | None, *, timed: bool) -> None:
         """Find the delay by which the voltage leads a path with times (`timed`), and a remark on it."""
-        known, delay = self.loop.actuator.identification, self.loop.actuator.delay
-        lag_of = "" if known is None else known.lag_of
+        lag_of, delay = self.loop.actuator.identification.lag_of, self.loop.actuator.delay
         leads = lag_of == "actuator" if on_time is None else on_time
         if not delay or (lag_of == "sensor" and not on_time):
             return
@@ -235,7 +232,8 @@ class Task:
         """Set the temperatures [degC] of the axes."""
         actuators, size = self.stage.actuators, len(self.rows)
         table = temperature_columns(temperature, size, len(actuators))
-        matters = any(actuator.thermal for actuator in actuators) or not any(map(tested_temperatures, actuators))
+        tested = [actuator.identification.validity for actuator in actuators]
+        matters = any(own.thermal for own in actuators) or not any(own.temperatures for own in tested if own)
         warmths = self.stage.temperatures(table if matters else None, size)
         for part, column, warmth in zip(self.parts, table.T, warmths, strict=True):
             part.temperature, part.warmth = column, warmth
@@ -409,8 +407,7 @@ class Task:
             volts, clamped, left = (column[after:] for column in (found.voltage, found.clamped, off))
             missed = float(np.abs(left).max())
             tolerated = TOLERANCE * float(np.ptp(loop.actuator.spring.displacement))
-            promise = promised(
-                loop.actuator,
+            promise = loop.actuator.promise(
                 volts,
                 None if self.time is None else self.time[after:],
                 temperature=degrees,

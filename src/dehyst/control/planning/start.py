@@ -201,7 +201,7 @@ def model_error(actuator: Actuator) -> float:
     A thousandth of the stroke if it is not known.
     """
     known, stroke = actuator.identification, stroke_of(actuator)
-    if known is None or (known.validity is None and known.largest_error is None):
+    if known.validity is None and known.largest_error is None:
         return _MODEL_ERROR * stroke
     own = known.validity
     return max(known.largest_error or 0.0 if own is None else max(own.largest, own.rms), _LEAST * stroke)

@@ -17,7 +17,7 @@ from dehyst.control.limits import VoltageLimits
 from dehyst.control.planning.homing import FASTEST_BRANCH, Homing, branch_seconds, shortest_homing
 from dehyst.control.planning.plan import HOMING, WAY
 from dehyst.control.planning.start import PossibleStart, model_error
-from dehyst.model import Actuator, State, major_loop, slew_rate_of_records, state_at, voltages_of
+from dehyst.model import Actuator, State, major_loop, state_at, voltages_of
 from dehyst.waveforms import Branch, Excitation, Sampling, volts
 
 # Least number of samples of a branch at the path's sample rate; number of samples of a branch if a path has no time.
@@ -234,5 +234,5 @@ def played_homing(actuator: Actuator, drive: Sampling, past: Any, tolerance: flo
 
 def pace(axis: Axis) -> float | None:
     """Return the largest slew rate [V/s] of jumps, homings and ways: no more than the records of the model have."""
-    rates = (axis.slew_rate, slew_rate_of_records(axis.actuator))
+    rates = (axis.slew_rate, axis.actuator.identification.slew_rate)
     return min((rate for rate in rates if rate is not None), default=None)
