@@ -18,51 +18,27 @@ _LOOPBACK = {
     "EPICS_CAS_AUTO_BEACON_ADDR_LIST": "NO",
 }
 
+READINGS = {"VOLTAGE:RBV": "V", "POSITION": "um"}
 _running = []
 
 
 class Ioc:
-    """The process variables of one `instrument`, all with one `prefix`; `serve_ioc` makes them.
+    """The variables VOLTAGE, VOLTAGE:RBV [V], POSITION [um] and IDN of an `instrument`; `serve_ioc` makes them.
 
-    =========================== =================================================================================
-    VOLTAGE, VOLTAGE:RBV        requested and present voltage [V]
-    POSITION                    the sensor's reading [um]
-    IDN                         text
-    =========================== =================================================================================
-
-    A put with callback returns when the command is done and all read-only variables are updated after it. `lock` is
-    held while it is used.
+    A put with callback returns when the command is done and the read-only variables, which are output records that are
+    set at once, are updated. `lock` is held while the instrument is used.
     """
 
-    def __init__(self, instrument, prefix, lock):
-        self.prefix = prefix
+    def __init__(self, instrument, lock, builder):
         self._instrument, self._lock = instrument, lock
-        self._records = {}
-
-    def build(self, builder):
-        """Create the records with softioc's `builder`.
-
-        Read-only variables are output records, which are set at once and not at the next scan.
-        """
-        bench, axis = self._instrument, self._instrument.axis
+        axis, identity = instrument.axis, f"dehyst virtual controller {instrument.serial}"
         low, high = axis.limits
-
-        def add(make, name, unit="", digits=0, **options):
-            self._records[name] = make(name, **({"EGU": unit, "PREC": digits} if unit else {}), **options)
-
-        builder.SetDeviceName(self.prefix)
         # A command that is put twice is done twice, and its callback comes when it is done.
-        command = {"always_update": True, "blocking": True}
-        handled = {"on_update": self._put, **command}
-        add(builder.aOut, "VOLTAGE", "V", 4, DRVL=low, DRVH=high, initial_value=axis.voltage, **handled)
-        for name, unit, digits, value in (
-            ("VOLTAGE:RBV", "V", 4, axis.voltage),
-            ("POSITION", "um", 5, _MICRO * axis.displacement()),
-        ):
-            add(builder.aOut, name, unit, digits, initial_value=value, DISP=1)
-        identity = f"dehyst 0.1.0 virtual controller {bench.serial}"
-        add(builder.longStringOut, "IDN", length=_TEXT, initial_value=identity, DISP=1)
-        builder.LoadDatabase()
+        command = {"on_update": self._put, "always_update": True, "blocking": True, "initial_value": axis.voltage}
+        self._voltage = builder.aOut("VOLTAGE", EGU="V", PREC=4, DRVL=low, DRVH=high, **command)
+        self._readings = [builder.aOut(name, EGU=unit, PREC=5, DISP=1) for name, unit in READINGS.items()]
+        builder.longStringOut("IDN", length=_TEXT, initial_value=identity, DISP=1)
+        self._refresh()
 
     async def serve(self):
         """Update the records from the instrument, without end."""
@@ -76,7 +52,7 @@ class Ioc:
         with self._lock, suppress(DehystError):
             taken = axis.set_voltage(voltage)
         if not taken:
-            self._records["VOLTAGE"].set(axis.voltage, process=False)
+            self._voltage.set(axis.voltage, process=False)
         self._refresh()
 
     def _refresh(self):
@@ -84,8 +60,8 @@ class Ioc:
         with self._lock:
             axis = self._instrument.axis
             values = axis.voltage, _MICRO * axis.displacement()
-        for name, value in zip(("VOLTAGE:RBV", "POSITION"), values, strict=True):
-            self._records[name].set(value)
+        for record, value in zip(self._readings, values, strict=True):
+            record.set(value)
 
 
 def serve_ioc(instrument, prefix, lock):
@@ -99,10 +75,11 @@ def serve_ioc(instrument, prefix, lock):
         os.environ.setdefault(name, value)
     from softioc import asyncio_dispatcher, builder, softioc
 
-    ioc = Ioc(instrument, prefix, lock)
+    builder.SetDeviceName(prefix)
+    ioc = Ioc(instrument, lock, builder)
     _running.append(ioc)
+    builder.LoadDatabase()
     dispatcher = asyncio_dispatcher.AsyncioDispatcher()
-    ioc.build(builder)
     softioc.iocInit(dispatcher, enable_pva=False)
     asyncio.run_coroutine_threadsafe(ioc.serve(), dispatcher.loop)
     return ioc

@@ -8,22 +8,6 @@ import numpy as np
 
 from emulator.gcs_controller import GcsError
 
-FAULTS = {
-    "drop": "the connection is lost",
-    "silence": "no command is answered any more",
-    "garble": "one answer is garbled",
-    "truncate": "one answer is cut off",
-    "error": "the controller stops, and reports an error",
-    "narrow": "the limits are narrower than the controller reports, from the beginning",
-    "saturate": "the sensor saturates",
-    "unplug": "the sensor is unplugged",
-    "refuse": "the connection is lost, and no other is accepted",
-    "stall": "the wave generator hangs",
-    "zero": "the voltage that is read is 0 V",
-    "shift": "the voltage that is read is 50 V too high",
-    "invert": "the voltage that is read has the wrong sign",
-    "blank": "the voltage that is read is no number",
-}
 # The voltage that is read [V], of the one that is put out.
 _MONITORS = {
     "zero": lambda _: 0.0,
@@ -39,7 +23,7 @@ _FORM = re.compile(r"(?P<name>[a-z]+)(@(?P<at>\d+(\.\d*)?)(?P<unit>s?))?")
 
 
 class Fault(NamedTuple):
-    """A fault by its `name`, one of `FAULTS`, and when it occurs.
+    """A fault by its name, as `Rehearsal` and `actual_limits` have it, and when it occurs.
 
     It occurs at a device time of `seconds` [s], or after a number of `samples` of a wave; without either, in the middle
     of the first wave.
@@ -53,7 +37,7 @@ class Fault(NamedTuple):
     def parse(cls, text):
         """Read a `text` NAME, NAME@SAMPLES or NAME@SECONDSs, as drop@2000 or unplug@3.5s."""
         match = _FORM.fullmatch(text)
-        assert match and match["name"] in FAULTS, text
+        assert match, text
         at = None if match["at"] is None else float(match["at"])
         return cls(match["name"], at if match["unit"] else None, None if match["unit"] else at)
 
@@ -68,7 +52,7 @@ class Fault(NamedTuple):
 class Rehearsal:
     """The `faults` of one controller, each of which occurs once.
 
-    `report`: called with a sentence when a fault occurs.
+    `report`: called with its name when a fault occurs.
     """
 
     def __init__(self, faults=(), *, report=lambda _: None):
@@ -81,7 +65,7 @@ class Rehearsal:
         due = [fault for fault in self._pending if fault.due(controller.instrument)]
         for fault in due:
             self._pending.remove(fault)
-            self._report(f"{fault.name}: {FAULTS[fault.name]}")
+            self._report(fault.name)
             # A sensor is that of the first axis.
             first = controller.axes[0].bench
             match fault.name:
@@ -100,9 +84,11 @@ class Rehearsal:
                 case "stall":
                     for axis in controller.axes:
                         axis.bench.stalled = True
-                case "zero" | "shift" | "invert" | "blank":
+                case "drop" | "refuse":
+                    pass
+                case name:
                     for axis in controller.axes:
-                        axis.monitor = _MONITORS[fault.name]
+                        axis.monitor = _MONITORS[name]
         return {fault.name for fault in due} & {"drop", "refuse"}
 
     def corrupt(self, answer):

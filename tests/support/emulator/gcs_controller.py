@@ -13,7 +13,6 @@ import numpy as np
 
 from dehyst._errors import DeviceError
 
-_LONGEST_LINE = 65536
 _IDENTITY = "dehyst,emulated piezo controller"
 _FIRMWARE = "0.1.0"
 # Least number of wave tables, points that one command line may bring, and the largest number of most arguments.
@@ -112,7 +111,7 @@ class Controller:
         # Axis and quantity of each recorder table.
         kinds = [(name, kind) for name in self.named for kind in (_POSITION, _VOLTAGE)]
         self.records = dict(enumerate(kinds, 1))
-        self.record_divider, self.stride = 1, 1
+        self.record_divider = 1
         # The read-only parameters by number: servo update time [s], and points of a wave and of the recorder.
         self.parameters = {
             0x0E000200: _numeral(instrument.servo_period),
@@ -128,7 +127,7 @@ class Controller:
         self.instrument.advance()
         try:
             command = COMMANDS.get(words[0].upper())
-            _demand(command is not None and len(line) <= _LONGEST_LINE, GcsError.UNKNOWN_COMMAND)
+            _demand(command is not None, GcsError.UNKNOWN_COMMAND)
             least, most = command.arguments
             _demand(least < len(words) <= most + 1, GcsError.PARAMETER_COUNT)
             lines = command.run(self, words[1:])
@@ -140,11 +139,6 @@ class Controller:
             # All lines but the last end with a space.
             return None if lines is None else " \n".join(lines) + "\n"
         return None
-
-    @property
-    def recorded(self):
-        """Number of recorded rows."""
-        return -(-self.instrument.recorded // self.stride)
 
     def chosen(self, words):
         """Return the axes whose names are `words`, or all of them."""
@@ -238,11 +232,9 @@ def _run_waves(controller, words):
     _demand(not any(axis.bench.servo for axis in started), GcsError.SERVO_ON)
     _demand(not any(axis.bench.playing for axis in controller.axes), GcsError.WAVE_RUNNING)
     waves = {controller.axes.index(axis): _selected_wave(controller, axis) for axis in started}
-    # One recorder records all axes, each sample or every nth.
-    dividers = {axis.divider for axis in started}
-    _demand(len(dividers) == 1 and controller.record_divider % min(dividers) == 0, GcsError.PARAMETER_RANGE)
-    controller.stride = controller.record_divider // min(dividers)
-    controller.instrument.start(waves, min(dividers))
+    # One recorder records each sample of all axes.
+    _demand({axis.divider for axis in started} == {controller.record_divider}, GcsError.PARAMETER_RANGE)
+    controller.instrument.start(waves, controller.record_divider)
 
 
 def _selected_wave(controller, axis):
@@ -282,13 +274,11 @@ def _recorder_help(*_):
 def _recorded_array(controller, words):
     """Answer DRR? first count table ...: recorded rows from `first`, which is 1 or more."""
     first, count, tables = _whole(words[0], 1), _whole(words[1], 1), controller.record_tables(words[2:])
-    _demand(first <= controller.recorded, GcsError.PARAMETER_RANGE)
+    _demand(first <= controller.instrument.recorded, GcsError.PARAMETER_RANGE)
     names, columns = [], []
     for axis, option in (controller.records[table] for table in tables):
         index = controller.axes.index(controller.named[axis])
-        _, voltage, displacement = (
-            column[:: controller.stride] for column in controller.instrument.samples(axis=index)
-        )
+        _, voltage, displacement = controller.instrument.samples(axis=index)
         found = {_POSITION: displacement * 1e6, _VOLTAGE: voltage}[option]
         columns.append(found[first - 1 : first - 1 + count].tolist())
         names.append(_RECORDED[option] + axis)
@@ -352,7 +342,9 @@ def _to_generators(name, least=0, most=_MOST, more=0):
 COMMANDS = {
     "*IDN?": GcsCommand(lambda c, _: [c.identity]),
     "DRC": GcsCommand(_set_record, (3, 3)),
-    "DRL?": GcsCommand(lambda c, given: [f"{n}={c.recorded}" for n in c.record_tables(given)], (0, math.inf)),
+    "DRL?": GcsCommand(
+        lambda c, given: [f"{n}={c.instrument.recorded}" for n in c.record_tables(given)], (0, math.inf)
+    ),
     "DRR?": GcsCommand(_recorded_array, (2, math.inf)),
     "DRT": GcsCommand(_set_trigger, (3, 3)),
     "ERR?": GcsCommand(_take_error),

@@ -80,14 +80,14 @@ class Server:
         self._client = writer
         try:
             while self._client is writer:
-                writer.write(self._answer(await _command(reader)))
+                writer.write(self._answer(await reader.readuntil(b"\n")))
                 if writer.transport.get_write_buffer_size():
                     await asyncio.wait_for(writer.drain(), _PATIENCE)
                 self._update()
                 # Many commands that wait must not keep others waiting.
                 await asyncio.sleep(0)
-        except (OSError, EOFError, asyncio.CancelledError):
-            # The client has gone, or takes no answers, or the server ends.
+        except (OSError, EOFError, asyncio.LimitOverrunError, asyncio.CancelledError):
+            # The client has gone, sends a line without end or takes no answers, or the server ends.
             pass
         finally:
             if self._client is writer:
@@ -97,15 +97,3 @@ class Server:
         with self.lock:
             answer = self.controller.answer(command.decode("latin-1"))
         return self.rehearsal.corrupt(answer.encode("latin-1", "replace")) if answer else b""
-
-
-async def _command(reader):
-    """Read a line. One that is too long is cut, so that the controller refuses it."""
-    overlong = False
-    while True:
-        try:
-            line = await reader.readuntil(b"\n")
-            return b"\0" * (_LONGEST_LINE + 1) if overlong else line
-        except asyncio.LimitOverrunError as error:
-            overlong = True
-            await reader.readexactly(error.consumed)
