@@ -8,6 +8,7 @@ import shutil
 import subprocess
 from dataclasses import replace
 from functools import cache
+from itertools import product, starmap
 
 import compiled_exports
 import numpy as np
@@ -48,11 +49,7 @@ def pythons(kind, samples):
 BOTH = KINDS | STAGES
 OPTIMISED = ["-O0"], ["-O2"], ["-O3"], ["-Os", "-flto"]
 # Wishes grow narrower over 3072 samples, and begin again.
-SOME = [
-    *((kind, 4000) for kind in ("all", "moving")),
-    *(at_night(kind, 10_000) for kind in ("all", "moving")),
-]
-MANY = [("plain", 4000), at_night("plain", 10**6)]
+ON_THE_BOARD = [*product(("plain", "all", "moving"), [4000]), *starmap(at_night, [("plain", 10**6), ("all", 10_000)])]
 
 
 @pytest.mark.parametrize(
@@ -73,7 +70,7 @@ def test_random_samples_have_the_bits_of_python(tmp_path, kind, samples, compile
         assert got.tobytes() == expected.tobytes(), options
 
 
-@pytest.mark.parametrize(("kind", "samples"), [*MANY, *SOME])
+@pytest.mark.parametrize(("kind", "samples"), ON_THE_BOARD)
 def test_an_emulated_cortex_m4_has_the_bits_of_python(tmp_path, kind, samples):
     need("arm-none-eabi-gcc", "qemu-system-arm")
     wanted, _, expected = pythons(kind, samples)
@@ -81,7 +78,7 @@ def test_an_emulated_cortex_m4_has_the_bits_of_python(tmp_path, kind, samples):
     assert got.tobytes() == expected.tobytes()
 
 
-@pytest.mark.parametrize(("kind", "samples"), [*MANY, *SOME])
+@pytest.mark.parametrize(("kind", "samples"), ON_THE_BOARD)
 def test_floats_on_a_cortex_m4_are_those_of_this_computer(tmp_path, kind, samples):
     need("gcc", "arm-none-eabi-gcc", "qemu-system-arm")
     wanted, _, expected = pythons(kind, samples)

@@ -20,6 +20,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import sanitized
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 # The tests that are to catch the mutants of a room.
 ROOMS = {
@@ -59,14 +61,11 @@ def mutants_of(text):
 
 def compiled(folder, copy):
     """Whether the core of the copy was compiled into its package."""
-    nanobind = subprocess.check_output([sys.executable, "-m", "nanobind", "--cmake_dir"], text=True).strip()
-    options = ("SKBUILD_PROJECT_NAME=dehyst", f"Python_EXECUTABLE={sys.executable}", f"nanobind_DIR={nanobind}")
-    configure = ["-S", copy, "-B", folder / "objects", "-DCMAKE_BUILD_TYPE=Release", *(f"-D{each}" for each in options)]
-    for words in (configure, ["--build", folder / "objects"]):
-        if subprocess.run(["cmake", *map(str, words)], capture_output=True, check=False).returncode:
-            return False
-    for module in (folder / "objects").glob("*.so"):
-        shutil.copy(module, copy / "src/dehyst")
+    try:
+        for module in sanitized.compiled(copy, folder / "objects", CMAKE_BUILD_TYPE="Release"):
+            shutil.copy(module, copy / "src/dehyst")
+    except RuntimeError:
+        return False
     shutil.copy(folder / "objects/core/amalgamation/dehyst.c", copy / "src/dehyst/exports/templates/dehyst.c")
     return True
 

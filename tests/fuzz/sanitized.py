@@ -32,24 +32,28 @@ def runtime_missing():
     return None if shutil.which("gcc") and Path(_library("libasan.so")).is_absolute() else "libasan"
 
 
+def compiled(source, folder, **defined):
+    """Compile the extension of a copy of the repository; return its files."""
+    nanobind = _run([sys.executable, "-m", "nanobind", "--cmake_dir"]).strip()
+    defined |= {"SKBUILD_PROJECT_NAME": "dehyst", "nanobind_DIR": nanobind, "Python_EXECUTABLE": sys.executable}
+    _run(["cmake", "-S", source, "-B", folder, *(f"-D{name}={value}" for name, value in defined.items())])
+    _run(["cmake", "--build", folder])
+    return folder.glob("*.so")
+
+
 def build(folder):
     """Compile the extension and lay it over the Python files; return the folder to import from."""
     folder = Path(folder).resolve()
-    package = folder / "overlay" / "dehyst"
-    nanobind = _run([sys.executable, "-m", "nanobind", "--cmake_dir"]).strip()
-    flags = " ".join(SANITIZE)
-    defined = {"CMAKE_BUILD_TYPE": "None", "SKBUILD_PROJECT_NAME": "dehyst", "nanobind_DIR": nanobind}
-    defined |= {"Python_EXECUTABLE": sys.executable, "CMAKE_C_COMPILER": "gcc", "CMAKE_CXX_COMPILER": "g++"}
-    defined |= {"CMAKE_C_FLAGS": flags, "CMAKE_CXX_FLAGS": f"-O1 {flags}", "CMAKE_MODULE_LINKER_FLAGS": flags}
-    options = [f"-D{name}={value}" for name, value in defined.items()]
-    _run(["cmake", "-S", REPOSITORY, "-B", folder / "objects", *options])
-    _run(["cmake", "--build", folder / "objects"])
+    package, flags = folder / "overlay" / "dehyst", " ".join(SANITIZE)
+    compilers = {"CMAKE_BUILD_TYPE": "None", "CMAKE_C_COMPILER": "gcc", "CMAKE_CXX_COMPILER": "g++"}
+    compilers |= {"CMAKE_C_FLAGS": flags, "CMAKE_CXX_FLAGS": f"-O1 {flags}", "CMAKE_MODULE_LINKER_FLAGS": flags}
+    modules = compiled(REPOSITORY, folder / "objects", **compilers)
     shutil.rmtree(package, ignore_errors=True)
     package.mkdir(parents=True)
     for source in (REPOSITORY / "src" / "dehyst").iterdir():
         if source.suffix != ".so" and source.name != "__pycache__":
             (package / source.name).symlink_to(source)
-    for module in (folder / "objects").glob("*.so"):
+    for module in modules:
         shutil.copy(module, package)
     return folder / "overlay"
 

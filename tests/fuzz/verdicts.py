@@ -37,7 +37,7 @@ def specimens() -> Iterator[tuple[str, Any, str, str]]:
         yield f"twin {name}", twin, name, words
     for name, trap in text_traps.TRAPS.items():
         yield f"text trap: {name}", trap.trap, f"a{trap.suffix}", trap.options
-        yield f"text twin: {name}", trap.twin, f"a{trap.suffix}", trap.twin_options
+        yield f"text twin: {name}", trap.twin, f"a{trap.suffix}", trap.options
 
 
 def verdict(path: str, columns: str) -> dict[str, Any]:

@@ -137,24 +137,6 @@ def test_the_table_of_a_fleet_shows_what_is_odd_and_what_drifts(tmp_path, monkey
     assert list(space["drifting"].index) == ["S05"]
 
 
-def code_of(page, capsys):
-    """Run the code of a page as it is; return its names and the last line that it printed."""
-    space = {}
-    exec("\n".join(blocks(page)), space)
-    return space, capsys.readouterr().out.splitlines()[-1]
-
-
-def test_a_model_from_fringes_keeps_its_promise(capsys):
-    space, last = code_of("tutorials/no_sensor.md", capsys)
-    assert last == "True" and not space["record"].measured.all() and space["fit"].good
-    assert space["dehyst"].check(space["fit"].actuator, space["record"]).kept
-
-
-def test_a_scan_learns_to_a_tenth_of_its_error(capsys):
-    errors = code_of("tutorials/learning_scan.md", capsys)[0]["repetition"].errors
-    assert errors[-1] < 0.1 * errors[0]
-
-
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
     folder = tmp_path_factory.mktemp("demo")
@@ -201,27 +183,15 @@ def test_the_commands_of_a_tutorial_print_the_text_of_the_page(page, demo, tmp_p
 
 
 PAGES = sorted(DOCS.rglob("*.md"))
-# Pages whose code runs here; that of the others runs in the tests of what they are about.
-RUN_HERE = (
-    "tutorials/first_stage.md",
-    "how_to/creep.md",
-    "how_to/keep_true.md",
-    "how_to/check.md",
-    "how_to/coupled_axes.md",
-    "how_to/many_actuators.md",
-    "how_to/python.md",
-    "how_to/scans.md",
-    "how_to/start_states.md",
-)
+# Pages whose code runs in a test of its own; that of all others runs in a folder with the files that they name.
 RUN_ELSEWHERE = (
     "how_to/control.md",
     "how_to/fleet.md",
     "how_to/instruments.md",
     "how_to/simulink.md",
     "tutorials/first_calibration.md",
-    "tutorials/learning_scan.md",
-    "tutorials/no_sensor.md",
 )
+WITH_CODE = {page.relative_to(DOCS).as_posix() for page in PAGES if "```python" in page.read_text()}
 
 
 def named(page):
@@ -239,11 +209,6 @@ def test_the_links_of_a_page_exist(page):
             assert "://" in target or path.exists(), target
 
 
-def test_the_code_of_every_page_runs_somewhere():
-    with_code = {page.relative_to(DOCS).as_posix() for page in PAGES if "```python" in page.read_text()}
-    assert with_code == {*RUN_HERE, *RUN_ELSEWHERE}
-
-
 @pytest.fixture(scope="module")
 def laboratory(tmp_path_factory):
     """A folder with the files that the pages name."""
@@ -258,7 +223,9 @@ def laboratory(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("page", [at_night(page) if page == "how_to/python.md" else page for page in RUN_HERE])
+@pytest.mark.parametrize(
+    "page", [at_night(page) if page == "how_to/python.md" else page for page in sorted(WITH_CODE - {*RUN_ELSEWHERE})]
+)
 def test_the_code_of_a_page_runs(page, laboratory, tmp_path, monkeypatch):
     shutil.copytree(laboratory, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
@@ -273,6 +240,11 @@ def test_the_code_of_a_page_runs(page, laboratory, tmp_path, monkeypatch):
         assert space["table"].settled and not space["table"].plan.clamped.any()
     if page == "how_to/python.md":
         assert space["plan"].units == "um" and len(space["same"]) == len(space["record"])
+    if page == "tutorials/no_sensor.md":
+        assert not space["record"].measured.all() and space["fit"].good
+        assert dehyst.check(space["fit"].actuator, space["record"]).kept
+    if page == "tutorials/learning_scan.md":
+        assert space["repetition"].errors[-1] < 0.1 * space["repetition"].errors[0]
     if page == "tutorials/first_stage.md":
         assert np.loadtxt("path.csv", delimiter=",", skiprows=1).shape == (400, 2)
 

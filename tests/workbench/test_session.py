@@ -390,27 +390,18 @@ async def test_an_old_model_is_checked_by_a_new_record_and_updated_from_it(stage
     assert model.name in made.origin
 
 
-def test_jobs_that_ran_when_a_workbench_ended_are_cancelled(tmp_path):
-    async def first():
-        stage = Stage(tmp_path / "bench")
-        record = await stage.record()
-        stage.session.add_record("uploads/b.csv", "b.csv")
-        stage.session.identify({"train": [record.id]})
-        stage.session._save()
-        stage.session.folder.close()
-        for worker in stage.workers:
-            worker.free.set()
-
-    async def second():
-        stage = Stage(tmp_path / "bench")
-        state = stage.session.state()
-        assert [record["status"] for record in state["records"]] == ["ready", "refused"]
-        assert [model["status"] for model in state["models"]] == ["cancelled"]
-        assert (await stage.record()).id not in {entry["id"] for kind in ("records", "models") for entry in state[kind]}
-        await stage.session.close()
-
-    asyncio.run(first())
-    asyncio.run(second())
+@played
+async def test_jobs_that_ran_when_a_workbench_ended_are_cancelled(stage):
+    record = await stage.record()
+    stage.session.add_record("uploads/b.csv", "b.csv")
+    stage.session.identify({"train": [record.id]})
+    stage.session._save()
+    again = WorkbenchSession(stage.session.folder, stage.changed, stage.worker)
+    state = again.state()
+    assert [entry["status"] for entry in state["records"]] == ["ready", "refused"]
+    assert [entry["status"] for entry in state["models"]] == ["cancelled"]
+    known = {entry["id"] for kind in ("records", "models") for entry in state[kind]}
+    assert again.add_record("uploads/c.csv", "c.csv").id not in known
 
 
 @pytest.mark.parametrize(
