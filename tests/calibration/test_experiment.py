@@ -274,11 +274,11 @@ def test_impossible_plans_are_refused(wrong):
 )
 def test_times_that_do_not_rise_evenly_are_refused(time):
     with pytest.raises(FileFormatError, match=r"wave\.csv"):
-        even_rate("wave.csv", np.array(time, dtype=float))
+        even_rate("wave.csv", {"time_s": np.array(time, dtype=float)})
 
 
 def test_the_sample_rate_is_that_of_the_times():
-    assert even_rate("wave.csv", np.arange(5) / 100) == pytest.approx(100.0)
+    assert even_rate("wave.csv", {"time_s": np.arange(5) / 100}) == pytest.approx(100.0)
 
 
 def test_the_drift_of_a_temperature_is_extrapolated_for_its_duration():

@@ -33,7 +33,7 @@ def test_a_message_has_the_fields_of_its_error(kind):
         ("identify", {"argument": "voltage", "got": "no samples"}, "voltage: got no samples"),
         ("export", {"argument": "slew_rate", "got": -1.0}, "--slew-rate: got -1.0"),
         ("compensate", {"argument": "trajectory", "got": (0.0,)}, "TRAJECTORY: got (0.0,)"),
-        ("insight", {"hint": "give limits", "change": ("limits",)}, "give limits (--limits LOW HIGH)"),
+        ("insight", {"hint": "give limits", "change": ("limits",)}, "give limits (--limits [AXIS=]LOW HIGH)"),
         ("show", {"hint": "give", "change": ("sample_rate",)}, "give (--columns rate=HZ)"),
         ("simulate", {"argument": "slope_floor", "got": 1}, "slope_floor: got 1"),
     ],

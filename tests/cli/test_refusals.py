@@ -37,8 +37,7 @@ REFUSED = {
     "identify plan.csv": ("", "computed"),
     "check loops.csv model.json": ("", "loops.csv"),
     "update model.json loops.csv -o model.json": ("", "model.json"),
-    "compare loops.csv --only crystal": "only",
-    "insight stage.json loops.csv --trajectory path.csv": "trajectory",
+    "insight stage.json stage.csv --trajectory path.csv": ("", 'Give the column as "x=NAME"'),
     "show model.json -o out.csv": "output",
     "show loops.csv --columns @absent.txt": "columns",
     "show stage.csv --columns time=vx_V:x_um,y=vy_V:y_um": ("axes", "time"),
@@ -74,7 +73,7 @@ REFUSED = {
     "compensate model.json path.csv -o out.csv --home --no-home": ("home", "--home/--no-home"),
     "identify loops.csv --goal 1 --goal 2": "goal",
     "compensate thermal.json warm.csv -o out.csv --table t.csv": "table",
-    "compensate model.json untimed.csv -o out.csv --table t.csv": ("table", "--columns rate"),
+    "compensate model.json untimed.csv -o out.csv --table t.csv": "columns",
     "compensate model.json gap.csv -o out.csv --table t.csv": ("displacement", "displacement"),
     "compensate model.json scan.csv -o out.csv --table out.csv": ("", "out.csv"),
     "compensate model.json scan.csv -o out.csv --table model.json": ("", "model.json"),
@@ -113,7 +112,7 @@ REFUSED = {
     f"{TRIANGLE} -o out.csv --acceleration -3": ("acceleration", "got -3,"),
     "insight stage.json loops.csv": ("", 'Give the axis as "x=VOLTAGE:DISPLACEMENT" (--columns'),
     f"{FOLLOW} path.csv --repeat 0": "repeat",
-    f"{FOLLOW} untimed.csv": ("path", "--columns rate"),
+    f"{FOLLOW} untimed.csv": "columns",
     f"{FOLLOW} point.csv": ("", "1 sample"),
 }
 

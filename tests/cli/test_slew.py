@@ -87,4 +87,4 @@ def test_later_commands_use_the_columns_and_the_slew_rate_of_the_model(tmp_path)
         assert found["slew_V_per_s"] == expected
         made = result("export", "model.json", "firmware", "--period", 1e-3, *more, "--force", cwd=tmp_path)[1]
         assert made["slew_V_per_s"] == expected
-    assert "which the model keeps" in run("compensate", "model.json", "path.csv", "-o", "v.csv", cwd=tmp_path)[1]
+    assert "which the model keeps" in run("compensate", "model.json", "path.csv", "-o", "v.csv", cwd=tmp_path)[2]

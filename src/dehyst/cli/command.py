@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import warnings
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
@@ -51,25 +50,26 @@ class TerminalRun(Run):
 
 def run_command(ctx: click.Context) -> None:
     """Run the operation of a command; print its result or its error, and exit with its status."""
-    as_json = bool(ctx.params.get("as_json"))
+    as_json, details = (bool(ctx.params.get(name)) for name in ("as_json", "details"))
     run = TerminalRun(quiet=as_json)
     try:
-        with terminable(), warnings.catch_warnings():
-            warnings.showwarning = lambda message, *_, **__: note(message)
+        with terminable():
             result = perform(ctx, run)
     except DehystError as error:
+        for remark in run.remarks:
+            note(remark)
         _refuse(ctx, error, as_json, run.known)
         sys.exit(1 if isinstance(error, LinkError | DeviceError | SensorError) else 2)
     finally:
         run.progress("")
     if as_json:
         echo_json(result.fields)
-    else:
-        for line in result.printed(details=bool(ctx.params.get("details"))):
-            echo(line)
-        sys.stdout.flush()
-    for warning in result.warnings:
-        note(warning)
+    for line in (details and result.more) or result.lines:
+        run.say(line)
+    for line in ("", "Add --verbose for all that was found.") if (result.more or run.details) and not details else ():
+        run.say(line)
+    for remark in (*run.remarks, *(run.details if details else ())):
+        note(remark)
     sys.exit(0 if result.good else 1)
 
 

@@ -13,21 +13,21 @@ from typing import Any
 from dehyst._errors import FileFormatError
 from dehyst._io import unwritten, write_atomically
 from dehyst.control import plan_path
-from dehyst.operations.axes import AxesModel, OfAxes, of_one_axis, slew_option
-from dehyst.operations.command import CONTINUED, INPUT, REPORT, Values, argument, command, number, option, output, pair
-from dehyst.operations.files import AS_FOUND, COLUMNS, RECORD, Columns, columns_in
+from dehyst.operations.axes import AxesModel, OfAxes, limits_option, slew_option
+from dehyst.operations.command import CONTINUED, INPUT, REPORT, Values, argument, command, number, option, output
+from dehyst.operations.files import AS_FOUND, COLUMNS, Columns, columns_in
 from dehyst.operations.paths import read_path
 from dehyst.operations.run import Result, Run, files
 from dehyst.records import percent, read_table
 from dehyst.report import write_report
-from dehyst.trust import Insight, Recheck, StageInsight, Update
+from dehyst.trust import Recheck, Update
 from dehyst.trust import check as check_one
 from dehyst.trust import insight as insight_one
 from dehyst.trust import update as update_one
 
 
 def _of_path(given: Values) -> str:
-    return of_one_axis(given) or ("" if "trajectory" in given else "without --trajectory")
+    return "" if "trajectory" in given else "without --trajectory"
 
 
 @command("insight", details=True)
@@ -35,9 +35,9 @@ def insight(
     run: Run,
     model: Path = argument(),
     records: tuple[Path, ...] = argument(nargs=-1),
-    trajectory: Path | None = option("Show the promise of the path in this file.", INPUT, of_one_axis),
+    trajectory: Path | None = option("Show the promise of the path in this file.", INPUT),
     zero: float | None = number("Zero of the trajectory, as in dehyst compensate.", _of_path),
-    limits: tuple[float, float] | None = pair("Voltages of the trajectory [V]; default: those of the model.", _of_path),
+    limits: OfAxes = limits_option("Voltages of the trajectory [V]; default: those of the model.", _of_path),
     slew_rate: OfAxes = slew_option("Largest slew rate of the trajectory [V/s].", _of_path),
     report: Path | None = REPORT,
     columns: Columns = COLUMNS,
@@ -47,37 +47,28 @@ def insight(
     A trajectory is read as by dehyst compensate; a name in --columns counts for the file that has it. The status is 1
     if there is a warning, for instance if a path cannot be followed.
     """
-    known = AxesModel.read(run, model)
-    known.demand(columns, RECORD, "on records")
-    own, of_path = columns, columns
-    if trajectory is not None and columns != AS_FOUND:
-        tables = [read_table(path, columns) for path in (records[0], trajectory)]
-        own, of_path = columns_in(columns, *tables), columns_in(columns, *reversed(tables))
-    training = [known.record(run, path, own) for path in records]
-    if known.stage is not None:
-        whole = insight_one(known.stage, training, progress=run.progress)
-        assessed: Insight | StageInsight = whole
-        found, head = whole.insights, list(whole.lines())
-    else:
-        plan = None
-        if trajectory is not None:
-            of_path = replace(of_path, voltage=None, hold=None, join=None)
-            path, warmth, clock = read_path(known, trajectory, of_path, zero, remark=run.note)
-            when = {"time": clock.get("time_s"), "temperature": warmth}
-            (plan,) = known.planned(plan_path, path, [limits], known.slews(slew_rate)[0], **when)
-        assessed = insight_one(known.actuators[0], training, plan=plan, progress=run.progress)
-        found, head = (assessed,), []
+    known, plan = AxesModel.read(run, model), None
+    if trajectory is not None:
+        of_path = columns
+        if columns != AS_FOUND and not known.several:
+            tables = [read_table(path, columns) for path in (records[0], trajectory)]
+            columns, of_path = columns_in(columns, *tables), columns_in(columns, *reversed(tables))
+        of_path = replace(of_path, voltage=None, hold=None, join=None)
+        path, warmth, clock = read_path(known, trajectory, of_path, zero)
+        when = {"time": clock.get("time_s"), "temperature": warmth}
+        plan = known.planned(plan_path, path, limits.of(known.axes), known.slews(slew_rate), **when)
+    training = [known.record(path, columns) for path in records]
+    assessed: Any = insight_one(known.model, training, plan=plan, progress=run.progress)
     if report is not None:
         run.progress("drawing the page")
         write_report(report, assessed, command=run.command)
-
-    def lines(*, full: bool) -> list[str]:
-        parts = zip(known.axes, found, strict=True)
-        each = [[*(["", f"Axis {axis}"] if axis else []), *part.summary(full).split("\n")] for axis, part in parts]
-        return [*head, *(line for own in each for line in own), *files(Report=report)]
-
-    good = not any(part.warnings() for part in found)
-    return Result(assessed.as_dict(), lines(full=False), lines(full=True), good=good)
+    found = getattr(assessed, "insights", (assessed,))
+    head = assessed.lines() if known.several else []
+    lines, more = (
+        [*head, *known.headed(part.summary(full).split("\n") for part in found), *files(Report=report)]
+        for full in (False, True)
+    )
+    return Result(assessed.as_dict(), lines, more, good=not any(part.warnings() for part in found))
 
 
 @command("check")
@@ -95,20 +86,16 @@ def check(
     """
     before = b"" if log is None else _read_log(log, again=run.force)
     known = AxesModel.read(run, model)
-    known.demand(columns, RECORD, "on a record")
-    measured = known.record(run, record, columns)
-    whole: Any = check_one(known.stage or known.actuators[0], measured, goal=goal)
-    found: Sequence[Recheck] = [whole] if known.stage is None else whole.rechecks
+    whole: Any = check_one(known.model, known.record(record, columns), goal=goal)
+    found: Sequence[Recheck] = getattr(whole, "rechecks", (whole,))
     if log is not None:
         _append_checks(log, before, dict(zip(known.axes, found, strict=True)))
-    warnings = known.prefixed([recheck.mismatch] if recheck.mismatch else [] for recheck in found)
-    lines, fields = [*_check_lines(found[0])], whole.as_dict()
-    if known.stage is not None:
-        each = zip(known.axes, found, strict=True)
-        lines = [line for axis, recheck in each for line in (f"Axis {axis}", *_check_lines(recheck), "")]
-        lines.append("Coupling: changed" if fields["changes"] else "Coupling: as in the model")
-        lines += [f"  - {sentence}" for sentence in fields["changes"]]
-    return Result(fields, [*lines, *files(Log=log)], warnings=warnings, good=whole.good)
+    known.remark([recheck.mismatch] if recheck.mismatch else [] for recheck in found)
+    lines = known.headed(map(_check_lines, found))
+    if known.several:
+        lines.append("Coupling: changed" if whole.changes else "Coupling: as in the model")
+        lines += [f"  - {sentence}" for sentence in whole.changes]
+    return Result(whole.as_dict(), [*lines, *files(Log=log)], good=whole.good)
 
 
 def _check_lines(recheck: Recheck) -> Iterator[str]:
@@ -168,14 +155,11 @@ def update(
     changed. The status is 0 if the error on held-out parts and the promise are within the goal, else 1.
     """
     known = AxesModel.read(run, model)
-    known.demand(columns, RECORD, "on a record")
-    measured = known.record(run, record, columns)
-    found: Any = update_one(known.stage or known.actuators[0], measured, goal=goal)
-    (found.actuator if known.stage is None else found.stage).save(output)
-    updates = [found] if known.stage is None else found.updates
-    coupling = () if known.stage is None else found.coupling_changes
-    lines = [*known.prefixed(map(_update_lines, updates)), *files(Model=output)]
-    return Result({**found.as_dict(), "output": str(output)}, lines, warnings=coupling, good=found.good)
+    found: Any = update_one(known.model, known.record(record, columns), goal=goal)
+    (found.stage if known.several else found.actuator).save(output)
+    lines = known.headed(map(_update_lines, getattr(found, "updates", (found,))))
+    run.remarks += getattr(found, "coupling_changes", ())
+    return Result(found.as_dict(), [*lines, *files(Model=output)], good=found.good)
 
 
 def _update_lines(update: Update) -> Iterator[str]:

@@ -15,13 +15,11 @@ from dehyst._errors import FileFormatError, ModelError
 from dehyst._types import Array
 from dehyst.control import Compensator, PathPlan
 from dehyst.model import Actuator, Stage
-from dehyst.model.stage import apply
 from dehyst.operations.command import NUMBER, Condition, Values, option
-from dehyst.operations.files import AS_FOUND, Columns, is_model
+from dehyst.operations.files import AS_FOUND, RECORD, Columns, columns_in, is_model, numbers_in
 from dehyst.operations.run import Run
-from dehyst.records import Record, Table, read, table_of
+from dehyst.records import Record, Table, read, read_table
 from dehyst.records.columns import columns_of_axis
-from dehyst.records.files import record_of
 from dehyst.records.formats.column import listed
 from dehyst.records.tables import ColumnError, chosen
 
@@ -99,41 +97,53 @@ class AxesModel:
 
     Attributes
     ----------
-    stage : Stage or None
-        None for the model of one axis.
-    actuators : tuple of Actuator
+    run : Run
+        Receives the remarks.
+    model : Actuator or Stage
+    stage : Stage
+        The model; for a single axis, a stage of this axis alone.
     axes : tuple of str
         Names of the axes; an empty text for a single axis.
     """
 
-    stage: Stage | None
-    actuators: tuple[Actuator, ...]
+    run: Run
+    model: Actuator | Stage
+    stage: Stage
     axes: tuple[str, ...]
 
     @classmethod
     def read(cls, run: Run, path: Path) -> AxesModel:
-        """Read a model; warn if its identification was not usable."""
-        if not is_stage(path):
-            actuator = Actuator.load(path)
-            outcome = actuator.identification.outcome
-            if outcome is not None and not outcome.good:
-                run.note(f"{path}: when this model was identified: {outcome.value}")
-            return cls(None, (actuator,), ("",))
-        stage = Stage.load(path)
-        return cls(stage, stage.actuators, stage.axes)
+        """Read a model; remark that its identification was not usable."""
+        if is_stage(path):
+            stage = Stage.load(path)
+            return cls(run, stage, stage, stage.axes)
+        actuator = Actuator.load(path)
+        outcome = actuator.identification.outcome
+        if outcome and not outcome.good:
+            run.remarks.append(f"{path}: when this model was identified: {outcome.value}")
+        return cls(run, actuator, Stage((actuator,)), ("",))
 
-    def slews(self, given: OfAxes = OfAxes("slew_rate")) -> tuple[list[float | None], list[str]]:
-        """Return the largest slew rate [V/s] of each axis, and a line on each rate that comes from the model.
+    @property
+    def actuators(self) -> tuple[Actuator, ...]:
+        """The actuator of each axis."""
+        return self.stage.actuators
 
-        The rate is the given one, else the one that the model keeps, else None, and a path has its own speed.
+    @property
+    def several(self) -> bool:
+        """Whether arrays have a column for each axis, as those of a stage."""
+        return self.model is self.stage
+
+    def slews(self, given: OfAxes = OfAxes("slew_rate")) -> list[float | None]:
+        """Return the largest slew rate [V/s] of each axis: the given one, else that of the model, with a remark.
+
+        None: a path has its own speed.
         """
-        rates, lines = [], []
-        for actuator, rate in zip(self.actuators, given.of(self.axes), strict=True):
-            kept = None if rate is not None else actuator.identification.allowed_slew_rate
-            rates.append(kept if rate is None else None if rate == math.inf else rate)
-            words = f"slew rate: at most {kept or 0:.4g} V/s, which the model keeps; --slew-rate sets another"
-            lines.append([words] if kept else [])
-        return rates, self.prefixed(lines)
+        rates = given.of(self.axes)
+        kept = [actuator.identification.allowed_slew_rate for actuator in self.actuators]
+        words = "slew rate: at most {:.4g} V/s, which the model keeps; --slew-rate sets another"
+        used = [own if rate is None else None for own, rate in zip(kept, rates, strict=True)]
+        self.remark([words.format(own)] if own else [] for own in used)
+        return [own or (None if rate == math.inf else rate) for own, rate in zip(used, rates, strict=True)]
 
     def planned(
         self,
@@ -142,16 +152,14 @@ class AxesModel:
         limits: Sequence[Limits],
         slew_rates: Sequence[float | None],
         **options: Any,
-    ) -> list[PathPlan]:
-        """Return the plan of each axis, by `plan_path` or `plan_voltage`, for `rows` (n, axes) [m] or [V]."""
-        loop = Compensator(self.stage or self.actuators[0], limits, slew_rates)
-        planned = plan(loop, rows[:, 0] if self.stage is None else rows, **options)
-        return [*(planned.each or (planned,))]
+    ) -> PathPlan:
+        """Return the plan, by `plan_path` or `plan_voltage`, for `rows` (n, axes) [m] or [V]."""
+        return plan(Compensator(self.model, limits, slew_rates), rows if self.several else rows[:, 0], **options)
 
     def by_axis(self, values: Iterable[Any]) -> Any:
         """Return the value of a single axis, or the values of several axes by name, for JSON."""
-        found = list(values)
-        return found[0] if self.stage is None else dict(zip(self.axes, found, strict=True))
+        found = dict(zip(self.axes, values, strict=True))
+        return found if self.several else found[""]
 
     def merged(self, tables: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """Return the JSON values of all axes under their common keys."""
@@ -162,9 +170,14 @@ class AxesModel:
         pairs = zip(self.axes, sentences, strict=True)
         return [f"{axis}: {sentence}" if axis else sentence for axis, own in pairs for sentence in own]
 
-    def targets(self, displacement: Array) -> Array:
-        """Return the displacement (n, axes) [m] of each actuator for a displacement of the axes."""
-        return displacement if self.stage is None else apply(self.stage.decoupling, displacement)
+    def headed(self, blocks: Iterable[Iterable[str]]) -> list[str]:
+        """Return the lines on each axis, below its name if there are several."""
+        pairs = zip(self.axes, blocks, strict=True)
+        return [line for axis, own in pairs for line in (*([f"Axis {axis}"] if axis else []), *own)]
+
+    def remark(self, sentences: Iterable[Iterable[str]]) -> None:
+        """Add remarks on each axis to those of the run."""
+        self.run.remarks += self.prefixed(sentences)
 
     def name(self, quantity: str, axis: str, what: str = "") -> str:
         """Return the column name of a quantity of an axis; `what`: such as "expected" for the expected displacement."""
@@ -184,30 +197,25 @@ class AxesModel:
         warmth = getattr(parts[0], "temperature", None)
         return columns if warmth is None else {**columns, "temperature_C": warmth}
 
-    def demand(self, columns: Columns, keys: Sequence[str], words: str) -> None:
-        """Raise an error for keys of columns that have no effect, see `Columns.demand`."""
-        columns.demand(keys, words, axes=self.stage is not None)
-
-    def record(self, run: Run, path: Path, columns: Columns) -> Record:
+    def record(self, path: Path, columns: Columns) -> Record:
         """Read a record: by the given columns, else by those of the model's own records, else by the usual names."""
-        if self.stage is not None:
+        columns.demand(RECORD, "on a record", axes=self.several)
+        if self.several:
             return read(path, columns if columns.axes else replace(columns, axes=self.recorded()))
         known = self.actuators[0].identification.columns
         if columns != AS_FOUND or not known:
             return read(path, columns)
         kept = Columns.parse(known)
-        table = table_of(path, kept)
-        names = ((quantity, getattr(kept, quantity)) for quantity in ("time", "voltage", "displacement"))
-        if any(name is not None and table.fitting(quantity, name) != 1 for quantity, name in names):
+        if columns_in(kept, read_table(path, kept)) != kept:
             return read(path, columns)
-        run.note(f"{path.name}: read by the columns of the model's own records, {known}; --columns sets others")
-        return record_of(table, kept, path.stem)
+        words = f"{path.name}: read by the columns of the model's own records, {known}; --columns sets others"
+        self.run.remarks.append(words)
+        return read(path, kept)
 
     def recorded(self) -> dict[str, str]:
         """Return the columns of the records of a stage by axis, the usual ones if it does not name them."""
         usual = {axis: f"{self.name('voltage', axis)}:{self.name('displacement', axis)}" for axis in self.axes}
-        named = () if self.stage is None else self.stage.recorded_columns
-        return usual | dict(text.partition("=")[::2] for text in named)
+        return usual | dict(text.partition("=")[::2] for text in self.stage.recorded_columns)
 
     def named(self, quantity: str, columns: Columns) -> dict[str, str]:
         """Return the column of each of several axes: the given one, or the usual one."""
@@ -220,8 +228,8 @@ class AxesModel:
 
     def values(self, table: Table, quantity: str, columns: Columns) -> Array:
         """Return a quantity (n, axes) of a table: from the given columns, or by the usual names."""
-        if self.stage is None:
-            return chosen(table, columns, (quantity,))[quantity].values[:, None]
+        if not self.several:
+            return numbers_in(table, quantity, chosen(table, columns, (quantity,))[quantity].values)[:, None]
         names = self.named(quantity, columns)
         if len({*names.values()}) < len(names):
             got = ", ".join(f"{axis}={name}" for axis, name in names.items())
@@ -229,7 +237,7 @@ class AxesModel:
         found = []
         for axis, name in names.items():
             try:
-                found.append(table.column(quantity, name))
+                found.append(numbers_in(table, quantity, table.column(quantity, name)))
             except ColumnError as error:
                 hint = f'the file holds {listed(table.names)}. Give the column as "{axis}=NAME"'
                 raise FileFormatError(f"axis {axis}: {error.message}", hint=hint, change=("columns",)) from error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
@@ -115,13 +115,12 @@ def calibrate(
         except RigError as error:
             # The voltage is at its safe value, and the results are written.
             run.note(str(error))
-    warnings: Sequence[str] = calibration.warnings()
     if kept := calibration.kept:
         began = calibration.training.meta["started"]
         played = f"from records on disk, {began}, not played again: {', '.join(kept)}"
-        warnings = [f"{played}; give another -o to measure again", *warnings]
-    fields = {**calibration.as_dict(), "output": str(output)}
-    return Result(fields, [*_lines(calibration, output)], warnings=warnings, good=calibration.good)
+        run.remarks.append(f"{played}; give another -o to measure again")
+    run.remarks += calibration.warnings()
+    return Result(calibration.as_dict(), [*_lines(calibration, output)], good=calibration.good)
 
 
 @contextmanager

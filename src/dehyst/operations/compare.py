@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-from dehyst._errors import IdentifyError
 from dehyst.operations.command import INPUT, REPORT, argument, command, option
 from dehyst.operations.files import COLUMNS, RECORD, Columns
 from dehyst.operations.run import Result, Run, files
@@ -14,7 +12,7 @@ from dehyst.records import read
 from dehyst.report import write_report
 from dehyst.trust import ModelComparison
 from dehyst.trust import compare as run_comparison
-from dehyst.trust.comparison import OURS, RIVALS, ModelScore, contenders
+from dehyst.trust.comparison import OURS, ModelScore
 
 
 @command("compare", details=True)
@@ -22,7 +20,6 @@ def compare(
     run: Run,
     records: tuple[Path, ...] = argument(nargs=-1),
     validate: tuple[Path, ...] = option("Held-out records; default: the last quarter of each.", INPUT, multiple=True),
-    only: tuple[str, ...] = option("Compare only this model; may be repeated; default: all.", multiple=True),
     report: Path | None = REPORT,
     columns: Columns = COLUMNS,
 ) -> Result:
@@ -33,23 +30,12 @@ def compare(
     columns.demand(RECORD, "here")
     run.progress("reading")
     training, held_out = ([read(path, columns) for path in paths] for paths in (records, validate))
-    found = run_comparison(training, validate=held_out, models=_chosen(only), progress=run.progress)
+    found = run_comparison(training, validate=held_out, progress=run.progress)
     if report is not None:
         write_report(report, found, command=run.command)
     good = not any(row.failure for row in found.rows if row.name == OURS)
     lines, more = ([*_lines(found, full=full), *files(Report=report)] for full in (False, True))
     return Result(found.as_dict(), lines, more, good=good)
-
-
-def _chosen(only: tuple[str, ...]) -> dict[str, Any]:
-    """Return the models with these names, regardless of case."""
-    known = contenders()
-    names = {name.casefold(): name for name in known}
-    for name in only:
-        if name.casefold() not in names:
-            hint = f"try {', '.join(map(repr, known))}; more by {RIVALS}"
-            raise IdentifyError(f"no model '{name}'", argument="only", hint=hint)
-    return {names[name.casefold()]: known[names[name.casefold()]] for name in only} or known
 
 
 def _lines(found: ModelComparison, *, full: bool) -> Iterator[str]:

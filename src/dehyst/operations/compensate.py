@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import dehyst._validation as check
 from dehyst._errors import ModelError, RecordError
 from dehyst._io import write_atomically
 from dehyst._text import counted, escape
@@ -17,19 +16,16 @@ from dehyst._types import Array
 from dehyst._views.lines import length, span_of
 from dehyst.control import PathPlan, WaveTable, plan_path, wave_table
 from dehyst.model import Actuator, voltages_of
-from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel, Limits, OfAxes, axes_option, limits_option, of_one_axis, slew_option
 from dehyst.operations.command import OUTPUT, PAGE, Values, argument, beside, command, number, option, output
 from dehyst.operations.files import COLUMNS, GAIN, Columns, write_table
 from dehyst.operations.paths import ZERO, even_rate, fault_of, reach_remarks, read_path, reason_of
 from dehyst.operations.run import Result, Run, files
-from dehyst.operations.start import START
+from dehyst.operations.start import START, before_path, begin_words, open_start, start_fields, starts_of
 from dehyst.waveforms import ScanPath
 
 # Largest difference between the ends of a period, as a part of its range.
 _CLOSED = 1e-9
-# Number of the last cycles of a table in its picture.
-_SHOWN = 3
 
 
 def _homes(given: Values) -> str:
@@ -76,111 +72,86 @@ def compensate(
     known = AxesModel.read(run, model)
     if on_time is not None and not any(actuator.delay for actuator in known.actuators):
         raise ModelError("has no effect on a model without a delay", argument="on_time", hint="leave it out")
-    allowed, volts, (slews, kept) = limits.of(known.axes), present.of(known.axes), known.slews(slew_rate)
-    begins, remarks = starts.starts_of(known, start, allowed, columns, volts)
-    wanted, warmth, clock = read_path(known, trajectory, columns, zero, remark=remarks.append)
+    allowed, volts, slews = limits.of(known.axes), present.of(known.axes), known.slews(slew_rate)
+    begins, found = starts_of(known, start, allowed, columns, volts), None
+    wanted, warmth, clock = read_path(known, trajectory, columns, zero)
+    known.remark(reach_remarks(known, wanted, allowed, zero, warmth))
     asked: dict[str, Any] = {"home": home, "home_within": home_within}
-    found: WaveTable | None = None
-    period = None if table is None else _period_of(trajectory, wanted[:, 0], clock, warmth)
-    targets = known.targets(wanted if period is None else period.displacement[:, None]).T
-    each = zip(known.actuators, targets, allowed, strict=True)
-    urgent = known.prefixed(reach_remarks(*axis, zero, warmth) for axis in each)
-    if period is None:
+    if table is None:
         asked |= {"start": begins, "present": volts, "time": clock.get("time_s"), "temperature": warmth}
-        plans = known.planned(plan_path, wanted, allowed, slews, on_time=on_time, **asked)
-        rows = {**starts.clock_columns(plans[0], clock), **known.table(plans)}
+        plan = known.planned(plan_path, wanted, allowed, slews, on_time=on_time, **asked)
     else:
         run.progress("homing, and the steady cycle")
+        period = _period(wanted[:, 0], even_rate(trajectory, clock), warmth)
         asked |= {"limits": allowed[0], "slew_rate": slews[0], "start": begins[0], "present": volts[0]}
         found = wave_table(known.actuators[0], period, cycles=cycles, **asked)
-        plans = [replace(found.plan, warnings=found.warnings)]
-        # The table of the cycle follows, so that its first sample is not written twice.
-        rows = {"time_s": found.plan.time, "phase": found.plan.phase, **known.table(plans)}
-        rows = {name: values[:-1] for name, values in rows.items()}
-    size = len(next(iter(rows.values())))
-    run.progress(f"writing {size} rows")
-    write_table(output, rows, gain)
-    if found is not None and table is not None:
+        plan = replace(found.plan, warnings=found.warnings)
+    plans = plan.each or (plan,)
+    run.progress(f"writing {plan.phase.size} rows")
+    rows: dict[str, Any] = clock | known.table(plans)
+    if found or plan.first:
+        rows = {**({} if plan.time is None else {"time_s": plan.time}), "phase": plan.phase, **known.table(plans)}
+    # The table of the cycle follows, so that its first sample is not written twice.
+    write_table(output, {name: values[:-1] for name, values in rows.items()} if found else rows, gain)
+    if found and table:
         write_table(table, {"time_s": found.cycle.time, **known.table([found.cycle])}, gain)
     if plot is not None:
         run.progress("drawing the path")
-        words = f"After {plans[0].seconds or 0.0:.4g} s that lead to the path." if found is None else "The last cycles."
-        shown = plans if found is None else [_last(plans[0], _SHOWN * len(found.cycle))]
-        _draw(plot, words, known.axes, shown, command=run.command)
-    axes = [*zip(known.actuators, plans, allowed, slews, volts, strict=True)]
-    made: dict[str, Any] = {"samples": size, "output": str(output)}
-    if found is not None:
-        made |= {"table": str(table), "settled": found.settled, "error_um": found.error * 1e6}
-        made |= {"start_up_cycles": found.cycles, "cycle_samples": len(found.cycle)}
-        made |= {"sample_rate_Hz": found.sample_rate, "frequency_Hz": found.sample_rate / len(found.cycle)}
-    return _answer(known, axes, urgent, remarks, made, [*files(Picture=plot), *kept], found)
-
-
-def _answer(
-    known: AxesModel,
-    axes: Sequence[tuple[Any, ...]],
-    urgent: list[str],
-    remarks: Sequence[str],
-    made: dict[str, Any],
-    added: Sequence[str],
-    found: WaveTable | None,
-) -> Result:
-    """Return the answer: the promise of each axis, what to do, where the files are, and `added` lines.
-
-    `axes`: actuator, plan, limits, slew rate and present voltage of each. `made`: JSON values of the files. `found`:
-    the table of a period, if one was asked for.
-    """
-    plans = [plan for _, plan, *_ in axes]
-    urgent += known.prefixed(starts.before_path(*axis) for axis in axes)
-    said = known.prefixed(plan.warnings for plan in plans)
-    reasons = known.prefixed(reason_of(plan.promise) for plan in plans)
-    urgent += known.prefixed([plan.failure] if plan.failure else [] for plan in plans)
-    others = [*remarks, *(sentence for sentence in said if sentence not in {*urgent, *reasons})]
-    fields = {**known.merged([_numbers(*axis[:4]) for axis in axes]), "warnings": [*urgent, *reasons, *others]}
-    spans = (span_of(plan.voltage, "V") for plan in plans)
-    words = known.prefixed(
-        [f"{span} {starts.begin_words(actuator, plan, limits, now)}"]
-        for span, (actuator, plan, limits, _, now) in zip(spans, axes, strict=True)
-    )
+        write_atomically(plot, _page(known, plans))
+    _remark(known, plans, allowed, volts)
+    size = plan.phase.size - bool(found)
+    words = known.prefixed([f"{span_of(part.voltage, 'V')} {begin_words(part)}"] for part in plans)
     lines = [
-        *known.prefixed([plan.promise.sentence] if plan.promise else [] for plan in plans),
-        *reasons,
-        *known.prefixed(map(starts.open_start, plans)),
-        f"{counted(made['samples'], 'sample')}, {', '.join(words)}: {made['output']}",
-        *added,
+        *known.prefixed([part.promise.sentence] if part.promise else [] for part in plans),
+        f"{counted(size, 'sample')}, {', '.join(words)}: {output}",
+        *files(Picture=plot),
     ]
+    parts = zip(known.actuators, plans, allowed, slews, strict=True)
+    fields = {"samples": size, **known.merged([_numbers(*part) for part in parts])}
     good = not any(map(fault_of, plans))
-    if found is not None:
-        delay = plans[0].promise.delay if plans[0].promise else axes[0][0].delay
-        late = f", without a lead for the delay of {1e3 * delay:.4g} ms" if delay else ""
-        lines.append(
-            f"the steady table after {counted(found.cycles, 'cycle')} of start-up, to {length(found.error)}; "
-            f"{counted(len(found.cycle), 'sample')} a cycle{late}: {made['table']}"
-        )
-        good = good and found.settled and not found.plan.clamped.any()
-    more = [*lines, *others[1:]] if others[1:] else ()
-    return Result(fields | made, lines, more, [*urgent, *others[:1]], good)
+    if found:
+        fields |= {"settled": found.settled, "error_um": found.error * 1e6, "start_up_cycles": found.cycles}
+        fields |= {"cycle_samples": len(found.cycle), "sample_rate_Hz": found.sample_rate}
+        fields["frequency_Hz"] = found.sample_rate / len(found.cycle)
+        lines.append(f"{_table_words(found, known.actuators[0].delay)}: {table}")
+        good = good and found.settled and not plan.clamped.any()
+    return Result(fields, lines, good=good)
 
 
-def _period_of(path: Path, wanted: Array, clock: Mapping[str, Array], warmth: Array | None) -> ScanPath:
+def _remark(
+    known: AxesModel, plans: Sequence[PathPlan], limits: Sequence[Limits], present: Sequence[float | None]
+) -> None:
+    """Add remarks on a plan: what to do, and why a promise is large; what else the records do not test is a detail."""
+    promises = [plan.promise for plan in plans]
+    said = known.prefixed(plan.warnings for plan in plans)
+    reasons = known.prefixed(map(reason_of, promises))
+    untested = known.prefixed([each.sentence for each in promise.untested] if promise else [] for promise in promises)
+    known.remark(map(before_path, known.actuators, plans, limits, present))
+    known.run.remarks += [*(sentence for sentence in said if sentence not in untested), *reasons]
+    known.run.details += [sentence for sentence in said if sentence in untested and sentence not in reasons]
+    known.remark(map(open_start, plans))
+
+
+def _table_words(found: WaveTable, delay: float) -> str:
+    """Describe the steady cycle of an actuator with a `delay` [s], for which a table has no lead."""
+    late = f", without a lead for the delay of {1e3 * delay:.4g} ms" if delay else ""
+    cycles, samples = counted(found.cycles, "cycle"), counted(len(found.cycle), "sample")
+    return f"the steady table after {cycles} of start-up, to {length(found.error)}; {samples} a cycle{late}"
+
+
+def _period(wanted: Array, rate: float, warmth: Array | None) -> ScanPath:
     """Return a path (n,) [m] that ends where it begins as one period, with the derivatives of its periodic spline.
 
-    Raise `ModelError` or `RecordError` if it is not periodic, has no even times, or depends on temperature.
+    Raise `ModelError` or `RecordError` if it is not periodic, or depends on temperature.
     """
     from scipy.interpolate import CubicSpline
 
     if warmth is not None:
         raise ModelError(argument="table", got="a path with temperatures", need="one without temperatures")
-    if not clock:
-        raise RecordError(argument="table", got="no times", need="a time of each sample", hint="give --columns rate=HZ")
-    even_rate(path, clock["time_s"])
-    wanted = check.vector(wanted, "displacement")
     if abs(wanted[-1] - wanted[0]) > _CLOSED * float(np.ptp(wanted)):
         got = f"{1e6 * wanted[0]:.6g} um at the first sample and {1e6 * wanted[-1]:.6g} um at the last"
         raise RecordError(argument="table", got=got, need="one period, which ends where it begins")
-    rows = wanted.size - 1
-    rate = rows / float(np.ptp(clock["time_s"]))
-    at = np.arange(rows + 1) / rate
+    at = np.arange(wanted.size) / rate
     spline = CubicSpline(at, np.append(wanted[:-1], wanted[0]), bc_type="periodic")
     return ScanPath(wanted[:-1], spline(at[:-1], 1), spline(at[:-1], 2), rate)
 
@@ -195,7 +166,7 @@ def _numbers(actuator: Actuator, plan: PathPlan, limits: Limits, slew: float | N
         "highest_V": float(plan.voltage.max()),
         "limits_V": list(limits or voltages_of(actuator)),
         "slew_V_per_s": slew,
-        "start": starts.start_fields(plan),
+        "start": start_fields(plan),
         "homing_samples": plan.first if homing else 0,
         "homing_s": 0.0 if homing is None else None if time is None else homing.played.duration,
         "certified": plan.certified if homing else None,
@@ -205,27 +176,19 @@ def _numbers(actuator: Actuator, plan: PathPlan, limits: Limits, slew: float | N
     }
 
 
-def _last(plan: PathPlan, rows: int) -> PathPlan:
-    """Return the last rows of the path of a plan, for a picture."""
-    rows = min(rows, len(plan.phase) - plan.first)
-    promise = plan.promise and replace(plan.promise, half=plan.promise.half[-rows:])
-    columns = ("time", "phase", "voltage", "displacement", "expected", "clamped")
-    return replace(plan, promise=promise, **{name: getattr(plan, name)[-rows:] for name in columns})
-
-
-def _draw(path: Path, caption: str, axes: Sequence[str], plans: Sequence[PathPlan], *, command: str) -> None:
-    """Write a self-contained HTML page with the plan of each axis."""
+def _page(known: AxesModel, plans: Sequence[PathPlan]) -> str:
+    """Return a self-contained HTML page with the plan of each axis."""
     from dehyst.report import pictures
     from dehyst.report.html import Charts, Part, document, reproduction, words
 
     def parts() -> Iterator[Part]:
         yield "<h1>A planned path</h1>"
-        for axis, plan in zip(axes, plans, strict=True):
+        for axis, plan in zip(known.axes, plans, strict=True):
             yield axis and f"<h2>Axis {escape(axis)}</h2>"
             yield "" if plan.promise is None else f"<p>{words(plan.promise.sentence)}</p>"
             charts = [pictures.planned_path(plan), pictures.planned_voltage(plan)]
             charts += [] if plan.promise is None else [pictures.error_band(plan)]
-            yield Charts("", caption, charts, wide=True)
-        yield reproduction(command)
+            yield Charts("", f"After {plan.seconds or 0.0:.4g} s that lead to the path.", charts, wide=True)
+        yield reproduction(known.run.command)
 
-    write_atomically(path, document("A planned path", parts()))
+    return document("A planned path", parts())

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import click
 
@@ -13,7 +12,7 @@ from dehyst._errors import ModelError
 from dehyst._views.fields import json_values
 from dehyst._views.lines import ends
 from dehyst.control import Axis, Compensator
-from dehyst.exports.fmu import ANY_VOLTAGE, SourceOnlyWarning
+from dehyst.exports.fmu import ANY_VOLTAGE
 from dehyst.exports.model_header import ExportedStart
 from dehyst.exports.targets import target_of, written
 from dehyst.operations.axes import AxesModel, OfAxes, is_stage, limits_option, slew_option
@@ -66,29 +65,25 @@ def export(
     if target.files is not None:
         demand_outputs([model], target.files(directory), force=run.force)
     known = AxesModel.read(run, model)
-    bounds: Any = limits.of(known.axes) if loop else ANY_VOLTAGE
-    (slews, kept), source = known.slews(slew_rate), known.stage or known.actuators[0]
-    compensator = Compensator(source, bounds, slews, period=period, preview=preview)
-    loops = compensator._axes
+    slews = known.slews(slew_rate)
+    compensator = Compensator(
+        known.model, limits.of(known.axes) if loop else ANY_VOLTAGE, slews, period=period, preview=preview
+    )
     if preview and not compensator.samples_ahead:
         raise ModelError("has no effect without a delay or inertia", argument="preview", hint="leave it out")
-    remarks = known.prefixed(map(_remarks, loops))
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", SourceOnlyWarning)
-        files = written(compensator if loop else source, directory, number, name, None if loop else period)
-    remarks += [str(warning.message) for warning in caught if issubclass(warning.category, SourceOnlyWarning)]
-    fields = {"path": str(directory), "kind": kind, "files": list(map(str, files)), "warnings": remarks}
-    begins = [ExportedStart.of(axis) for axis in loops]
+    known.remark(map(_remarks, compensator._axes))
+    files = written(compensator if loop else known.model, directory, number, name, None if loop else period)
+    begins = [ExportedStart.of(axis) for axis in compensator._axes]
     lines = [f"{directory}: the {kind} as {target.words}: {', '.join(file.name for file in files)}"]
     lines += known.prefixed(
         [f"memory begins at {at.words}{f'; to bring the actuator there, {at.way}' if loop else ''}"] for at in begins
     )
+    fields = {"kind": kind, "files": list(map(str, files))}
     if loop:
         fields["slew_V_per_s"] = known.by_axis(slews)
-        unbound = ["slew rate: no bound; --slew-rate gives one"]
-        lines += kept + known.prefixed([] if slew else unbound for slew in slews)
+        lines += known.prefixed([] if slew else ["slew rate: no bound; --slew-rate gives one"] for slew in slews)
     memory = [{"begins": json_values(at, _BEGINS)} for at in begins]
-    return Result(fields | known.merged(memory), lines, warnings=remarks)
+    return Result(fields | known.merged(memory), lines)
 
 
 def _remarks(axis: Axis) -> Iterator[str]:

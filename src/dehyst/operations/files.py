@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from dehyst._errors import FileFormatError
 from dehyst._io import format_of
+from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.operations.command import Parsed, number, option
 from dehyst.operations.run import MODELS
@@ -37,6 +39,16 @@ def columns_in(columns: Columns, table: Table, other: Table | None = None) -> Co
     missing = {key: name for key, name in given.items() if name is not None and lacks(table, key, name)}
     left: Any = dict.fromkeys(key for key in missing if other is None or not lacks(other, key, missing[key]))
     return replace(columns, **left)
+
+
+def numbers_in(table: Table, quantity: str, values: Array) -> Array:
+    """Return values (n,) of a table; raise `FileFormatError` with the first row that has none."""
+    lost = np.flatnonzero(~np.isfinite(values))
+    if lost.size:
+        where = f"the first is row {lost[0] + 1} below the header of {table.source}"
+        got = f"{counted(lost.size, 'row')} without a number, {where}"
+        raise FileFormatError(argument=quantity, got=got, need="numbers", hint="fill them in")
+    return values
 
 
 def clock_of(table: Table, columns: Columns) -> dict[str, Array]:

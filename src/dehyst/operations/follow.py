@@ -9,7 +9,7 @@ from typing import Any
 import click
 import numpy as np
 
-from dehyst._errors import ModelError, RecordError, RigError
+from dehyst._errors import ModelError, RigError
 from dehyst._io import made_folder, write_atomically
 from dehyst._text import escape
 from dehyst._views.lines import percent
@@ -42,7 +42,7 @@ def follow(
     output: Path = output("Folder for record, report, and the learnt voltages.", FOLDER, default="dehyst-follow"),
     repeat: int | None = option("Cycles; default: 1, with --learn until the error converges.", click.IntRange(1)),
     learn: bool = flag("Correct each repetition by the error of the one before."),
-    feedback: bool = flag("Correct each sample by the reading before it; for one axis, at 200 Hz at most."),
+    feedback: bool = flag("Correct each sample by the reading before; one axis, at most 200 Hz, without --learn."),
     limits: OfAxes = limits_option("Range of the voltage [V]; default: that of the model and the device."),
     slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: that of the model, else the device's."),
     zero: float | None = ZERO,
@@ -58,12 +58,10 @@ def follow(
     if learn and feedback:
         raise ModelError(argument="learn, feedback", got="both", need="one of them")
     known = AxesModel.read(run, model)
-    if feedback and known.stage is not None:
+    if feedback and known.several:
         raise ModelError(argument="feedback", got="a model of several axes", need="one axis", hint="try --learn")
-    wanted, warmth, clock = read_path(known, path, columns, zero, remark=run.note)
-    if not clock:
-        raise RecordError(argument="path", got="no times", need="a time of each sample", hint="give --columns rate=HZ")
-    rate = even_rate(path, clock["time_s"])
+    wanted, warmth, clock = read_path(known, path, columns, zero)
+    rate = even_rate(path, clock)
 
     def judge(plan: PathPlan) -> None:
         parts = plan.each or (plan,)
@@ -75,8 +73,8 @@ def follow(
             hint = "nothing was moved; dehyst compensate says which path fits; --force follows this one"
             raise ModelError(words.removesuffix("."), argument="path", hint=hint)
 
-    allowed, (slews, _) = limits.of(known.axes), known.slews(slew_rate)
-    axes = None if known.stage is None else known.axes
+    allowed, slews = limits.of(known.axes), known.slews(slew_rate)
+    axes = known.axes if known.several else None
     asked: Any = [each if axes else each[0] for each in (allowed, slews)]
     with open_rig(rig, axes, limits=asked[0], slew_rate=asked[1]) as instrument:
         bounds = _bounds(run, known, instrument, allowed, slews)
@@ -95,12 +93,12 @@ def follow(
         if run.force:
             record.unlink(missing_ok=True)
         with Steps(run) as watcher:
-            part = known.stage or known.actuators[0]
-            followed = FollowedPath(instrument, part, bounds, played, wanted, size, warmth, watcher, run.say, judge)
+            followed = FollowedPath(
+                instrument, known.model, bounds, played, wanted, size, warmth, watcher, run.say, judge
+            )
             lessons = repeat or _MOST if learn else 0
             followed.follow(record, repeat=1 if learn else repeat or 1, lessons=lessons, feedback=feedback)
-    for remark in followed.remarks:
-        run.note(remark)
+    run.remarks += followed.remarks
     return _result(known, followed, record, output)
 
 
@@ -149,7 +147,6 @@ def _result(known: AxesModel, followed: FollowedPath, record: Path, folder: Path
         **best.as_dict(),
         "repetitions": [tracked.as_dict() for tracked in followed.tracked],
         "clamped": sum(followed.clamps),
-        "output": str(folder),
     }
     lines = [head, *files(Record=record, Voltages=voltages, Report=report)]
     good = not any(followed.clamps) and followed.believed and False not in followed.kept

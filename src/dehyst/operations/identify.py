@@ -80,11 +80,11 @@ def identify(
         found = None if quick else insight(fit.actuator, training)
         write_report(report, fit, command=run.command, insight=found)
     where = "was printed" if output is None else f"is in {output}"
-    warnings = [f"stopped by Ctrl-C; the best model so far {where}"] * deadline.ended
+    run.remarks += [f"stopped by Ctrl-C; the best model so far {where}"] * deadline.ended
     # A wrong unit shows in the ranges.
     written = [*(repr(record)[1:-1] for record in training), *files(Model=output, Report=report)]
     lines, more = [*_answer(fit), *written], [*fit.summary(full=True).split("\n"), *written]
-    return Result(fit.as_dict(), lines, more, warnings, good=fit.good and not deadline.ended)
+    return Result(fit.as_dict(), lines, more, good=fit.good and not deadline.ended)
 
 
 def _with_defaults(model: Actuator | Stage, columns: Columns, slew_rate: float | None) -> Actuator | Stage:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,10 +15,10 @@ from dehyst._units import FACTORS
 from dehyst._views.lines import ends
 from dehyst.control import Compensator, PathPlan, VoltageLimits
 from dehyst.control.limits import unit_hint
-from dehyst.model import USELESS, Actuator, Promise, demand_thermal
+from dehyst.model import USELESS, Promise, apply, demand_thermal
 from dehyst.operations.axes import AxesModel, Limits
 from dehyst.operations.command import number
-from dehyst.operations.files import PATH, Columns, clock_of
+from dehyst.operations.files import PATH, Columns, clock_of, numbers_in
 from dehyst.records import Table, table_of
 from dehyst.records.formats.column import listed
 from dehyst.records.record import Channel
@@ -66,9 +66,7 @@ def fault_of(plan: PathPlan) -> str:
     return promise.sentence if promise.largest > 0.01 * USELESS * promise.stroke else ""
 
 
-def temperature_of(
-    known: AxesModel, columns: Columns, table: Table, *, remark: Callable[[str], object]
-) -> Array | None:
+def temperature_of(known: AxesModel, columns: Columns, table: Table) -> Array | None:
     """Return the temperature (n,) [degC] in a table: the named or the only temperature column; None if there is none.
 
     If the model does not depend on temperature, a column that was not requested is left out, with a remark.
@@ -80,68 +78,66 @@ def temperature_of(
         return None
     tested = [actuator.identification.validity for actuator in known.actuators]
     if not any(actuator.thermal for actuator in known.actuators) and not any(own.temperatures for own in tested if own):
-        remark(f"temperature: {listed(own)} of the file is not used, as the model does not depend on temperature")
+        words = f"temperature: {listed(own)} of the file is not used, as the model does not depend on temperature"
+        known.run.remarks.append(words)
         return None
     if columns.temperature is None and len(own) > 1:
         words = f"{table.source}: {listed(own)} are temperatures"
         raise FileFormatError(words, argument="columns", hint=f"select one by temperature={own[0]}")
-    values = table.column("temperature", columns.temperature or own[0])
+    values = numbers_in(table, "temperature", table.column("temperature", columns.temperature or own[0]))
     if fault := Channel("temperature", "degC", "temperature", "", values).fault:
         raise FileFormatError(f"{table.source}: temperature: {fault}")
     return values
 
 
 def read_path(
-    known: AxesModel, path: Path, columns: Columns, zero: float | None = None, *, remark: Callable[[str], object]
+    known: AxesModel, path: Path, columns: Columns, zero: float | None = None
 ) -> tuple[Array, Array | None, dict[str, Array]]:
     """Return the wanted displacement (n, axes) [m] in a file from the sensor's zero, its temperature [degC], its time.
 
     `zero`: of the path [um of the sensor]. For one axis the only column of lengths needs no name.
     """
-    known.demand(columns, PATH, "on a path")
+    columns.demand(PATH, "on a path", axes=known.several)
     table = table_of(path, columns)
     lengths = [column.name for column in table.columns if column.parts[1] in FACTORS["displacement"]]
-    if known.stage is None and not columns.displacement and len(lengths) == 1 and not table.fitting("displacement"):
+    if not known.several and not columns.displacement and len(lengths) == 1 and not table.fitting("displacement"):
         columns = replace(columns, displacement=lengths[0])
     wanted = known.values(table, "displacement", columns)
-    warmth = temperature_of(known, columns, table, remark=remark)
+    warmth = temperature_of(known, columns, table)
     return wanted + 1e-6 * zero if zero else wanted, warmth, clock_of(table, columns)
 
 
 def reach_remarks(
-    actuator: Actuator, wanted: Array, limits: Limits, zero: float | None, temperature: Array | None = None
-) -> list[str]:
-    """Return remarks on a path (n,) [m] outside of the reachable range, or in another unit, and what to try.
+    known: AxesModel, wanted: Array, limits: Sequence[Limits], zero: float | None, temperature: Array | None
+) -> Iterator[list[str]]:
+    """Yield for each axis a remark on a path (n, axes) [m] outside of its reach, or in another unit; what to try.
 
     `temperature`: of the path (n,) [degC]; default: not known, the reference counts. The range is that which is reached
-    at all temperatures. Raise `ModelError` if the path is more than a stroke outside,
-    because then its zero, unit or model is wrong.
+    at all temperatures. Raise `ModelError` if the path is more than a stroke outside, because then its zero, unit or
+    model is wrong.
     """
-    if not np.isfinite(wanted).all() or not wanted.size:
-        return []
-    compensator = Compensator(actuator, limits)
-    lows, highs = (np.full(wanted.shape, end) for end in compensator.reach)
-    cold = wanted
-    if actuator.thermal is not None and temperature is not None:
-        cold = actuator.thermal.at_reference(wanted, temperature)
-        lows, highs = (actuator.thermal.warmed(edge, temperature) for edge in (lows, highs))
-    low, high, least, most = (1e6 * float(end) for end in (lows.max(), highs.min(), wanted.min(), wanted.max()))
-    reached = f"the model reaches {ends(low, high, 'um')}, from the sensor's zero in its records"
-    fits = most - least <= high - low
-    advice = "choose another --zero" if fits else "choose a smaller path"
-    if fits and zero is None:
-        advice = f"--zero {0.5 * (low + high - least - most):.4g} puts it into the middle"
-    if compensator._axes[0].strays(cold):
-        hint = f"check the numbers and their unit{f', or {advice}' if fits else ''}"
-        raise ModelError(f"got {ends(least, most, 'um')}, {reached}", argument="displacement", hint=hint)
-    from_zero = 1e6 * wanted - (0.0 if zero is None else least)
-    if hints := unit_hint("um", (low, high), from_zero):
-        return [*hints]
-    margin = _ROUNDING * 1e-6 * (high - low)
-    if np.all((lows - margin <= wanted) & (wanted <= highs + margin)):
-        return []
-    volts = compensator._axes[0].bounds.words
-    return [f"the path covers {ends(least, most, 'um')}, with {volts} {reached}; {advice}"]
+    targets = apply(known.stage.decoupling, wanted)
+    for actuator, allowed, target in zip(known.actuators, limits, targets.T, strict=True):
+        (axis,) = Compensator(actuator, allowed)._axes
+        gain, offset = axis.scaling(temperature if actuator.thermal else None, target.size)
+        lows, highs = (offset + gain * end for end in axis.reach)
+        values = (np.max(lows), np.min(highs), target.min(), target.max())
+        low, high, least, most = (1e6 * float(value) for value in values)
+        margin, fits = _ROUNDING * 1e-6 * (high - low), most - least <= high - low
+        if hints := unit_hint("um", (low, high), 1e6 * target - (0.0 if zero is None else least)):
+            yield [*hints]
+            continue
+        if np.all((lows - margin <= target) & (target <= highs + margin)):
+            yield []
+            continue
+        advice = "choose another --zero" if fits else "choose a smaller path"
+        if fits and zero is None:
+            advice = f"--zero {0.5 * (low + high - least - most):.4g} puts it into the middle"
+        reached = f"the model reaches {ends(low, high, 'um')}, from the sensor's zero in its records"
+        if axis.strays((target - offset) / gain):
+            hint = f"check the numbers and their unit, or {advice}"
+            raise ModelError(f"got {ends(least, most, 'um')}, {reached}", argument="displacement", hint=hint)
+        yield [f"the path covers {ends(least, most, 'um')}, with {axis.bounds.words} {reached}; {advice}"]
 
 
 def closed_path(wanted: Array) -> Array:
@@ -155,11 +151,15 @@ def closed_path(wanted: Array) -> Array:
     return np.vstack([wanted, wanted[-1] + way[:, None] * gap])
 
 
-def even_rate(path: Path, time: Array) -> float:
-    """Return the rate [Hz] of the `time` (n,) [s] in a file; raise `FileFormatError` if it does not rise evenly."""
+def even_rate(path: Path, clock: Mapping[str, Array]) -> float:
+    """Return the rate [Hz] of the time in a file; raise `FileFormatError` if there is none, or it rises unevenly."""
+    if not clock:
+        got = f"no time of each sample in {path}"
+        raise FileFormatError(argument="columns", got=got, need="one", hint="give --columns rate=HZ")
+    time = clock["time_s"]
     if time.size < 2:
         raise FileFormatError(f"{path}: got {counted(time.size, 'sample')}, need at least two")
     steps = np.diff(time)
     if not (steps > 0).all() or float(np.ptp(steps)) > _UNEVEN * float(np.median(steps)):
         raise FileFormatError(f"{path}: the times do not rise evenly; write it with dehyst excite, or resample it")
-    return 1 / float(np.median(steps))
+    return (time.size - 1) / float(np.ptp(time))

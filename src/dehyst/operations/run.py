@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,11 +33,15 @@ class Run:
         Whether outputs may replace files.
     known : dict
         JSON values that are known before the end, also if the operation fails.
+    remarks, details : list of str
+        Remarks on the result, which are shown after it, also if the operation fails; `details` only if asked for.
     """
 
     def __init__(self) -> None:
         self.command, self.force = "", False
         self.known: dict[str, Any] = {}
+        self.remarks: list[str] = []
+        self.details: list[str] = []
 
     def progress(self, words: str) -> None:
         """Show the present activity; an empty text ends this."""
@@ -100,8 +105,6 @@ class Result:
         Lines for a person, the answer first.
     more : sequence of str
         The lines with all details; by default `lines`.
-    warnings : sequence of str
-        Warnings about the result.
     good : bool
         False: done, but not good enough, for a reason in `lines`.
     """
@@ -109,14 +112,7 @@ class Result:
     fields: Mapping[str, Any]
     lines: Sequence[str] = ()
     more: Sequence[str] = ()
-    warnings: Sequence[str] = ()
     good: bool = True
-
-    def printed(self, *, details: bool) -> list[str]:
-        """Return the lines to print, with all `details` or with a line that says how to get them."""
-        if details or not self.more:
-            return [*((details and self.more) or self.lines)]
-        return [*self.lines, "", "Add --verbose for all that was found."]
 
 
 def perform(ctx: click.Context, run: Run) -> Result:
@@ -142,8 +138,11 @@ def perform(ctx: click.Context, run: Run) -> Result:
             demand_own_folder(folder, "", "", force=run.force)
         demand_writable(folder)
     assert ctx.command.callback is not None
-    result: Result = ctx.command.callback(run, **values)
-    return result
+    with warnings.catch_warnings():
+        warnings.simplefilter("default", UserWarning)
+        warnings.showwarning = lambda message, *_, **__: run.remarks.append(str(message))
+        result: Result = ctx.command.callback(run, **values)
+    return replace(result, fields={**result.fields, "warnings": [*run.remarks, *run.details]})
 
 
 def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path], kept: Sequence[Path] = (), *, force: bool) -> None:

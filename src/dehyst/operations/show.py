@@ -60,7 +60,7 @@ def show(
         columns.save(save)
     fields = {axis: {**view.fields(), "file_columns": file_columns} for axis, view in axes.items()}
     lines = [line for view in axes.values() for line in view.lines()]
-    return Result(fields if record.axes else fields[""], [*lines, *files(Record=output, Columns=save)])
+    return Result({"axes": fields} if record.axes else fields[""], [*lines, *files(Record=output, Columns=save)])
 
 
 def _span(values: Array) -> list[float]:

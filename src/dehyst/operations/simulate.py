@@ -7,14 +7,15 @@ from pathlib import Path
 from dehyst._text import counted
 from dehyst.control import outside_identified, plan_voltage
 from dehyst.model import voltages_of
-from dehyst.operations import start as starts
 from dehyst.operations.axes import AxesModel
 from dehyst.operations.command import argument, command, output
 from dehyst.operations.files import COLUMNS, VOLTAGE, Columns, clock_of, write_table
 from dehyst.operations.paths import temperature_of
 from dehyst.operations.run import Result, Run
-from dehyst.operations.start import START
+from dehyst.operations.start import START, begin_words, open_start, start_fields, starts_of
 from dehyst.records import table_of
+
+_LATE = "the measured displacement lagged by {:.4g} ms; the output does not have this lag"
 
 
 @command("simulate")
@@ -32,34 +33,28 @@ def simulate(
     possible states. The status is 1 if a voltage lies outside the model's limits by more than a tenth of their range.
     """
     known = AxesModel.read(run, model)
-    known.demand(columns, VOLTAGE, "on a voltage")
+    columns.demand(VOLTAGE, "on a voltage", axes=known.several)
     table = table_of(voltage, columns)
-    given = known.values(table, "voltage", columns)
-    time = clock_of(table, columns)
-    begins, warnings = starts.starts_of(known, start, [None] * len(known.axes), columns, rests=False)
-    warmth = temperature_of(known, columns, table, remark=warnings.append)
+    given, time = known.values(table, "voltage", columns), clock_of(table, columns)
+    begins = starts_of(known, start, [None] * len(known.axes), columns, rests=False)
     ranges = [voltages_of(actuator) for actuator in known.actuators]
-    known_path = {"time": time.get("time_s"), "temperature": warmth, "start": begins}
-    paths = known.planned(plan_voltage, given, ranges, [None] * len(ranges), **known_path)
-    clock = starts.clock_columns(paths[0], time)
-    write_table(output, clock | known.table(paths, wanted=False))
-    outsides = [outside_identified(*each, refuse=False) for each in zip(known.actuators, given.T, strict=True)]
-    late = "the measured displacement lagged by {:.4g} ms; the output does not have this lag"
-    warnings += known.prefixed(
-        [*outside.warnings, *path.warnings, *([late.format(1e3 * delay)] if delay else [])]
-        for outside, path, delay in zip(outsides, paths, [actuator.delay for actuator in known.actuators], strict=True)
-    )
-    far = any(outside.far for outside in outsides)
+    when = {"time": time.get("time_s"), "temperature": temperature_of(known, columns, table)}
+    plan = known.planned(plan_voltage, given, ranges, [None] * len(ranges), **when, start=begins)
+    each = plan.each or (plan,)
+    write_table(output, time | known.table(each, wanted=False))
+    outsides = [outside_identified(*pair, refuse=False) for pair in zip(known.actuators, given.T, strict=True)]
+    known.remark(outside.warnings for outside in outsides)
+    known.remark(path.warnings for path in each)
+    delays = [actuator.delay for actuator in known.actuators]
+    known.remark([_LATE.format(1e3 * delay)] if delay else [] for delay in delays)
+    known.remark(map(open_start, each))
     fields = {
         "samples": len(given),
         "outside": known.by_axis(outside.count for outside in outsides),
         "far_outside": known.by_axis(outside.far for outside in outsides),
-        "start": known.by_axis(map(starts.start_fields, paths)),
-        "warnings": warnings,
-        "state": known.by_axis(path.state.as_dict() for path in paths),
-        "output": str(output),
+        "start": known.by_axis(map(start_fields, each)),
+        "state": known.by_axis(path.state.as_dict() for path in each),
     }
-    pairs = zip(known.actuators, paths, strict=True)
-    words = known.prefixed([starts.start_words(actuator, path.start, path.start.state)] for actuator, path in pairs)
-    lines = [f"{counted(len(given), 'sample')} {', '.join(words)}: {output}"]
-    return Result(fields, [*lines, *known.prefixed(map(starts.open_start, paths))], warnings=warnings, good=not far)
+    words = known.prefixed([begin_words(path)] for path in each)
+    line = f"{counted(len(given), 'sample')} {', '.join(words)}: {output}"
+    return Result(fields, [line], good=not any(outside.far for outside in outsides))

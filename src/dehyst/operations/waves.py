@@ -81,8 +81,6 @@ def _add_excitation(kind: str, text: str, protocol: Callable[..., Excitation], *
             "last_V": last,
             **({} if excitation.axes else {"turns_V": excitation.turns.tolist()}),
             "parts": [{"name": name, "first": begin, "stop": stop} for name, begin, stop in excitation.parts],
-            "warnings": list(excitation.warnings),
-            "output": str(output),
         }
         size = f"{len(excitation)} samples, {excitation.duration:.6g} s at {rate:.6g} Hz"
         if excitation.axes:
@@ -90,7 +88,8 @@ def _add_excitation(kind: str, text: str, protocol: Callable[..., Excitation], *
         else:
             what = f"{low:.6g} to {high:.6g} V, from {first:.6g} to {last:.6g} V, at {steepest:.4g} V/s at most"
         line = f"{excitation.name}: {size}, {what}: {output}"
-        return Result(fields, [line, *[_BEFORE] * bool(excitation.axes)], warnings=fields["warnings"])
+        run.remarks += excitation.warnings
+        return Result(fields, [line, *[_BEFORE] * bool(excitation.axes)])
 
     written.__doc__ = text
     command(kind, {**options, **_DRIVEN}, excite)(written)
@@ -153,12 +152,11 @@ def _add_scan(kind: str, text: str) -> None:
             "sample_rate_Hz": made.rate,
             "period_s": made.period,
             "ranges_um": ranges,
-            "warnings": list(made.warnings),
-            "output": str(output),
         }
         words = ", ".join(f"{name} {low:.6g} to {high:.6g}" for name, (low, high) in ranges.items())
         line = f"{kind}: {time.size} samples, {fields['seconds']:.6g} s at {made.rate:.6g} Hz, {words}: {output}"
-        return Result(fields, [line], warnings=made.warnings)
+        run.remarks += made.warnings
+        return Result(fields, [line])
 
     written.__doc__ = text
     options: dict[str, Any] = {

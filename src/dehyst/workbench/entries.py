@@ -51,9 +51,9 @@ class RecordEntry:
 
     def fill(self, result: Mapping[str, Any]) -> None:
         """Fill in the result of `show`."""
-        parts = list(result.values()) if "samples" not in result else [result]
+        self.axes = list(result.get("axes", ()))
+        parts = list(result.get("axes", {"": result}).values())
         first = parts[0]
-        self.axes = list(result) if "samples" not in result else []
         self.status, self.words, self.problems = "ready", [], []
         self.usable = all(part["usable"] for part in parts)
         self.samples, self.seconds = int(first["samples"]), float(first["duration_s"])
@@ -140,13 +140,13 @@ class ModelEntry:
             }
             for axis, actuator in zip(known.axes, known.actuators, strict=True)
         ]
-        self.axes = [] if known.stage is None else each
+        self.axes = each if known.several else []
         for name in ("range_v", "range_um"):
             setattr(self, name, [min(axis[name][0] for axis in each), max(axis[name][1] for axis in each)])
         self.slew_v_per_s = min((axis["slew_v_per_s"] for axis in each if axis["slew_v_per_s"]), default=None)
         tested = [own.identification.validity for own in known.actuators]
         self.fastest_v_per_s = min((v.speeds[1] for v in tested if v and v.speeds[1]), default=self.slew_v_per_s)
-        self.timed = any(map(needs_time, known.actuators)) or any(known.slews()[0])
+        self.timed = any(map(needs_time, known.actuators)) or any(known.slews())
 
 
 def verdict_of(
