@@ -193,10 +193,7 @@ def test_a_state_is_restored_bit_for_bit(fmus, model, kind):
 
 
 def test_the_state_of_another_model_is_refused(fmus):
-    with (
-        Slave(fmus("plain", "compensator")[1]) as first,
-        Slave(fmus("creep", "compensator")[1]) as other,
-    ):
+    with Slave(fmus("plain", "compensator")[1]) as first, Slave(fmus("creep", "compensator")[1]) as other:
         for data in (first.state(), other.state()[:-1], b""):
             with pytest.raises(FMICallException):
                 other.restore(data)

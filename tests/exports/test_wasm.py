@@ -76,10 +76,7 @@ console.log(limited, slewed, refused, kept.clamped.filter((code) => code === 1).
 """
 
 
-@pytest.mark.parametrize(
-    ("kind", "samples"),
-    [*((kind, 4000) for kind in KINDS), at_night("plain", 10**6)],
-)
+@pytest.mark.parametrize(("kind", "samples"), [*((kind, 4000) for kind in KINDS), at_night("plain", 10**6)])
 def test_random_steps_have_the_bits_of_python(tmp_path, kind, samples):
     compensator = KINDS[kind]()
     folder = exported(tmp_path / kind, compensator)

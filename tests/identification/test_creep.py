@@ -25,10 +25,7 @@ def actuator(creep):
 def records(truth, hold=30.0):
     """The recommended excitation, then a staircase with holds, in one run."""
     drive = Sampling(frequency=0.1, sample_rate=RATE, limits=(0.0, HIGHEST))
-    parts = (
-        recommended(HIGHEST, drive=drive),
-        staircase(HIGHEST, hold=hold, back=True, drive=drive),
-    )
+    parts = (recommended(HIGHEST, drive=drive), staircase(HIGHEST, hold=hold, back=True, drive=drive))
     time = np.arange(sum(len(part.time) for part in parts)) / RATE
     y = truth.play(np.concatenate([part.voltage for part in parts]), time=time)
     cut = len(parts[0].time)

@@ -253,9 +253,7 @@ PULSE = triangle() + 40.0 * np.isin(np.arange(N), [1000, 1001])
         pytest.param(triangle(), 1e-7 * triangle(40.0), id="corners"),
         pytest.param(triangle(), 1e-5 * (np.floor(TIME / 0.2) % 3), id="steps"),
         pytest.param(
-            triangle(),
-            1e-5 * (1 - np.exp(-20 * (TIME % 0.5)) * np.cos(2 * np.pi * 180 * (TIME % 0.5))),
-            id="ringing",
+            triangle(), 1e-5 * (1 - np.exp(-20 * (TIME % 0.5)) * np.cos(2 * np.pi * 180 * (TIME % 0.5))), id="ringing"
         ),
         pytest.param(triangle(), 1e-6 * np.random.default_rng(0).normal(size=N), id="noise"),
         pytest.param(triangle(), np.zeros(N), id="nothing"),

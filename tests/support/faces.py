@@ -18,10 +18,7 @@ FACES = {
     **{room: list(getattr(module, "__all__", ())) for room, module in _MODULES.items()},
 }
 # Drivers are imported one by one: each needs its own library or instrument.
-DRIVERS = {
-    "dehyst.instruments.epics": ["EpicsRig", "PvNames"],
-    "dehyst.instruments.pi": ["PiRig"],
-}
+DRIVERS = {"dehyst.instruments.epics": ["EpicsRig", "PvNames"], "dehyst.instruments.pi": ["PiRig"]}
 # Types in a docstring: "name : type", or classes alone, as of a result.
 _TYPES = re.compile(r"^(?:[\w, ]+ : .+|[A-Z]\w+(?:(?:, | or )[A-Z]\w+)*)$", re.MULTILINE)
 

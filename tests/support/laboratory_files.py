@@ -135,10 +135,7 @@ FILES: dict[str, tuple[Writer, str]] = {
     "F0000CH1.CSV": (tektronix_channels, f"join=F0001CH2.CSV, {GAINS}"),
     "keysight.csv": (table("x-axis,1,2\nsecond,Volt,Volt", T, V / 100, UM / 10, number="%+.9E"), GAINS),
     "rigol.csv": (rigol, GAINS),
-    "pico.csv": (
-        table("Time,Channel A,Channel B\n(ms),(V),(mV)\n", T * 1e3, V / 100, UM * 100, number="%.8f"),
-        GAINS,
-    ),
+    "pico.csv": (table("Time,Channel A,Channel B\n(ms),(V),(mV)\n", T * 1e3, V / 100, UM * 100, number="%.8f"), GAINS),
     "lecroy.csv": (lecroy, ""),
     "recorder.dat": (gcs, ""),
     "zeit.csv": (table("Zeit [s];Spannung [V];Weg [µm]\r", T, V, UM, encoding="cp1252", **GERMAN), ""),

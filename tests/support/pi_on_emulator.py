@@ -54,9 +54,6 @@ def by_pipe(longest=65536, **options):
 def by_tcp(longest=65536, **options):
     """Open a PI controller over a socket, at twice the speed."""
     instrument = _instrument(longest, speed=2.0)
-    with (
-        Server(Controller(instrument), port=0) as server,
-        PiRig.connect("127.0.0.1", server.port, **options) as rig,
-    ):
+    with Server(Controller(instrument), port=0) as server, PiRig.connect("127.0.0.1", server.port, **options) as rig:
         rig._now = lambda: 2.0 * time.monotonic()
         yield rig, Locked(instrument, server.lock)

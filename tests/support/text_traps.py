@@ -111,16 +111,13 @@ TRAPS: dict[str, Trap] = {
         suffix=".xlsx",
     ),
     "a row of units against the names": Trap(
-        with_lines(HEAD, BODY, {2: "ms,mV,nm"}),
-        with_lines(HEAD, BODY, {2: "Seconds,V,µm"}),
+        with_lines(HEAD, BODY, {2: "ms,mV,nm"}), with_lines(HEAD, BODY, {2: "Seconds,V,µm"})
     ),
     "no value in the first column": Trap(
-        with_lines(HEAD, BODY, {700: "#N/A,1,2"}, lost=True),
-        with_lines(HEAD, BODY, {700: "# a pause, then on"}),
+        with_lines(HEAD, BODY, {700: "#N/A,1,2"}, lost=True), with_lines(HEAD, BODY, {700: "# a pause, then on"})
     ),
     "no value in the first row": Trap(
-        with_lines(HEAD, BODY, {2: "#DIV/0!,#DIV/0!,#DIV/0!"}, lost=True),
-        with_lines(HEAD, BODY, {2: "# s,V,um"}),
+        with_lines(HEAD, BODY, {2: "#DIV/0!,#DIV/0!,#DIV/0!"}, lost=True), with_lines(HEAD, BODY, {2: "# s,V,um"})
     ),
     "no value in every seventh row": Trap(
         with_lines("displacement_um,voltage_V", rows(UM, V), dict.fromkeys(SEVENTH, "#N/A,1"), lost=True),

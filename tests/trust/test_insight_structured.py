@@ -74,11 +74,7 @@ def test_insight_works_for_every_structure(name, tmp_path):
     assert found.promise.largest == pytest.approx(sum(found.promise.parts.values()))
     write_report(tmp_path / "page.html", found)
     text = (tmp_path / "page.html").read_text()
-    for words in (
-        "What the turning points determine",
-        "The promise along the path",
-        "Where the records turned",
-    ):
+    for words in ("What the turning points determine", "The promise along the path", "Where the records turned"):
         assert words in text
     assert "records determine" in render(fit, insight=found)
 

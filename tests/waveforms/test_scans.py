@@ -140,9 +140,7 @@ def test_steps_are_of_least_jerk_and_as_short_as_the_limit_allows():
 
 
 @given(
-    st.lists(st.floats(-1e-4, 1e-4), min_size=2, max_size=5, unique=True),
-    st.floats(1e-5, 1e-2),
-    st.floats(1e-3, 10),
+    st.lists(st.floats(-1e-4, 1e-4), min_size=2, max_size=5, unique=True), st.floats(1e-5, 1e-2), st.floats(1e-3, 10)
 )
 def test_steps_keep_their_limits(levels, speed, acceleration):
     if min(abs(b - a) for a, b in pairwise([*levels, levels[0]])) < 1e-8:

@@ -61,7 +61,7 @@ def residual_checks(traces: Sequence[Trace], stroke: float) -> tuple[Check, ...]
     tuple of Check
         Width, Middle line, No drift.
     """
-    training = [trace for trace in traces if trace.role == "training"]
+    training = [trace.counted for trace in traces if trace.role == "training"]
     return *_patterns(training, stroke), _no_drift(training, stroke)
 
 
@@ -222,9 +222,8 @@ def remaining_error(trace: Trace) -> RemainingError:
     that the model lacks. A line that the voltage does not have is a vibration. The rest repeats with the voltage: it is
     the error of the model.
     """
-    residual = trace.residual - trace.residual.mean()
-    total = float(np.mean(residual**2))
-    size = float(np.sqrt(total))
+    trace, residual = trace.counted, trace.counted.residual - trace.counted.residual.mean()
+    total, size = float(np.mean(residual**2)), rms(residual)
     if residual.size < 64 or not total:
         return RemainingError(trace.record, trace.role, size, 0.0, 0.0, 0.0, 0.0, 0.0)
     white = min(white_noise(trace.residual) ** 2, total)

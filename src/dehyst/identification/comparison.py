@@ -389,15 +389,16 @@ def errors_of(actuator: Actuator, compared: RecordComparison, role: str) -> tupl
     record = compared.given
     starts, drawn = zip(*(compared.played(actuator, k) for k in range(len(compared.source.pieces))), strict=True)
     time, voltage, measured, simulated = (np.concatenate(column) for column in zip(*drawn, strict=True))
-    trace = Trace(record.name, role, time, voltage, measured, simulated, record.start)
-    # Only errors at events count; the displacement at a turn of the voltage is filled in.
-    known, whole = record.record.measured, trace
+    known, counts = record.record.measured, None
     if known is not None:
+        # Only errors at events count; the displacement at turns and ends of the voltage is filled in.
         turns = turning_points(record.record.voltage, _TURN * float(np.ptp(record.record.voltage)))
-        events = np.setdiff1d(np.flatnonzero(known), turns)
-        at = np.isin(time, record.record.time[events])
-        trace = Trace(record.name, role, time[at], voltage[at], measured[at], simulated[at], record.start)
-    settled, error, time = trace.settled, trace.residual, trace.time
+        events = np.setdiff1d(np.flatnonzero(known), [0, *turns, known.size - 1])
+        counts = np.isin(time, record.record.time[events])
+        measured = simulated + np.interp(time, time[counts], (measured - simulated)[counts])
+    whole = Trace(record.name, role, time, voltage, measured, simulated, record.start, counts)
+    trace = whole.counted
+    settled, error, time = whole.settled.counted, trace.residual, trace.time
     curve, slope = record.drift_curve(record.record), float(compared.frame.motion.drift[0])
     drift = np.interp(time, record.record.time, curve)
     drifting = error + slope * (drift - drift.mean())

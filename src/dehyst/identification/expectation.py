@@ -206,7 +206,7 @@ def growth(traces: Sequence[Trace], span: float) -> tuple[float, float]:
     `span`: range of the voltages [V].
     """
     found = []
-    for trace in (trace.settled for trace in traces):
+    for trace in (trace.counted.settled for trace in traces):
         at, error = branches_of(trace.voltage, span), np.square(trace.residual - trace.residual.mean())
         squares = [error[first : last + 1].mean() for first, last in at.tolist()]
         found.append(np.column_stack([paces_of(trace.time, trace.voltage, at), squares, np.diff(at, axis=1)]))

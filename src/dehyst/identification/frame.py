@@ -280,11 +280,7 @@ def tuned(frame: Frame, source: RowSource, program: Program, found: Solution) ->
     def numbers(x: Array) -> tuple[float, float, float]:
         # All numbers are near 1, because the finite differences are relative.
         frequency, damping, delay = (x - 1).tolist()
-        return (
-            start.frequency * exp(frequency),
-            max(start.damping + damping, 0.0),
-            motion.delay + delay / start.omega,
-        )
+        return (start.frequency * exp(frequency), max(start.damping + damping, 0.0), motion.delay + delay / start.omega)
 
     rows, columns = program.rows, program.columns[0][:, found.active_set.moving]
     regular = len(rows) * program.regularization[np.ix_(found.active_set.moving, found.active_set.moving)]

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from dehyst._text import counted, escaped
-from dehyst._types import Array
+from dehyst._types import Array, Mask
 from dehyst._views.fields import json_values
 from dehyst._views.lines import length
 from dehyst.identification.rules import RULES
 from dehyst.model import State
-from dehyst.records import turning_points
+from dehyst.records import largest, turning_points
 
 # Least part of a decade that determines a rate of creep.
 FEWEST_DECADES = 0.5
@@ -119,7 +119,8 @@ class Trace:
     """A `record` and its simulation: `time` [s], acting `voltage` [V], displacements [m] on the model's axis.
 
     `role` is training or validation. `measured` and `simulated` are (n,) [m]. `began` is the time of the first sample
-    of the record [s], whether it was compared or not.
+    of the record [s], whether it was compared or not. `counts` (n,): samples that count in an error; None: all. Between
+    them the residual is interpolated over time.
     """
 
     record: str
@@ -129,11 +130,11 @@ class Trace:
     measured: Array
     simulated: Array
     began: float = float("inf")
+    counts: Mask | None = None
 
     def __repr__(self) -> str:
-        largest = float(np.abs(self.residual).max(initial=0.0))
-        size = counted(self.time.size, "sample")
-        return f"<Trace '{escaped(self.record)}' ({self.role}): {size}, largest residual {length(largest)}>"
+        size, most = counted(self.counted.time.size, "sample"), length(largest(self.counted.residual))
+        return f"<Trace '{escaped(self.record)}' ({self.role}): {size}, largest residual {most}>"
 
     @property
     def residual(self) -> Array:
@@ -145,9 +146,16 @@ class Trace:
         """The trace after the second turning point of its voltage, if it has enough turns; else the whole trace."""
         turns = turning_points(self.voltage, 0.02 * float(np.ptp(self.voltage)))
         later = turns[turns > 0]
-        at = int(later[1]) if len(later) > 2 else 0
-        kept = {name: getattr(self, name)[at:] for name in ("time", "voltage", "measured", "simulated")}
-        return replace(self, **kept)
+        return self._at(slice(int(later[1]) if len(later) > 2 else 0, None))
+
+    @property
+    def counted(self) -> Trace:
+        """The trace at the samples that count: only these may enter an error."""
+        return self if self.counts is None else self._at(self.counts)
+
+    def _at(self, rows: slice[Any, Any, None] | Mask) -> Trace:
+        columns = {name: getattr(self, name) for name in ("time", "voltage", "measured", "simulated", "counts")}
+        return replace(self, **{name: values[rows] for name, values in columns.items() if values is not None})
 
 
 class Verdict(Enum):

@@ -390,8 +390,7 @@ def disagreement(actuator: Actuator, others: Sequence[Fitted], chosen: Fitted, f
     time = np.arange(voltage.size) * frame.times[0]
 
     def played(model: Actuator) -> Array:
-        path = model.simulate(voltage, time=time, extrapolate=True).displacement
-        return path[4 * _BRANCH :]
+        return model.simulate(voltage, time=time, extrapolate=True).displacement[4 * _BRANCH :]
 
     mine, squares, weights = played(actuator), [], []
     # Models that differ in smoothing only count as one structure.

@@ -84,10 +84,7 @@ def fit_start(
 
 
 def fit_strained(
-    smooth: SmoothSlip,
-    displacement: Array,
-    force: Array,
-    fit: Callable[[Array, Array, Array], StartState],
+    smooth: SmoothSlip, displacement: Array, force: Array, fit: Callable[[Array, Array, Array], StartState]
 ) -> tuple[StartState, Array]:
     """Fit smooth elements too; return the result of `fit_start`, and their elongations (L,) [m] at the first sample.
 

@@ -66,12 +66,11 @@ def render(
         name = fit.actuator.name if fit.actuator else "Actuator not identified"
         head: list[Part] = [f"<h1>{escape(name)}</h1>", *_report(fit, insight, followed, command)]
         return document(f"{name}: identification", head)
+    caption = f"with its standard error. Condition {fit.stage.condition:.4g}."
     parts: list[Part] = [
         "<h1>Coupled axes</h1>",
         f"<p>{words(fit.verdict)}.</p>",
-        sections.coupling(
-            fit.axes, fit.coupling, fit.uncertainty, f"with its standard error. Condition {fit.stage.condition:.4g}."
-        ),
+        sections.coupling(fit.axes, fit.coupling, fit.uncertainty, caption),
         sections.stage_errors(fit),
     ]
     for j, (axis, own) in enumerate(zip(fit.axes, fit.fits, strict=True)):

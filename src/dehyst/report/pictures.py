@@ -99,14 +99,10 @@ def before_and_after(trace: Trace, stroke: float) -> Chart:
     """Return the errors of the best straight scale factor and of the model [% of the stroke in m]."""
     (off,), _ = off_line([trace])
     factor, unit = length_unit(float(np.ptp(trace.measured)))
-    curves: tuple[tuple[str, Array, Colour], ...] = (
-        ("straight scale factor", off, "without"),
-        ("this model", trace.residual, "simulated"),
-    )
-    series = [
-        Series(name, trace.simulated * factor, broken(trace.time, 100 * error / stroke), colour)
-        for name, error, colour in curves
-    ]
+    place = trace.simulated * factor
+    before, after = (broken(trace.time, 100 * error / stroke) for error in (off, trace.residual))
+    series = [Series("straight scale factor", place, before, "without")]
+    series.append(Series("this model", place, after, "simulated"))
     axes = Axis("displacement", unit), Axis("error", _PERCENT)
     return Chart(trace.record, *axes, series, trace.role, _in_metres("error", stroke, largest(off)), zero=True)
 
@@ -128,17 +124,21 @@ def _both(traces: Sequence[Trace], measured: Sequence[Array], quantity: str) -> 
     dots, lines = [], []
     for trace, shown in zip(traces, measured, strict=True):
         first, second = (broken(trace.time, length * factor) for length in (shown, shown - trace.residual))
-        dots.append(Series("measured", trace.voltage, first, "measured", "points", 3, 0.5))
+        dots.append(Series("measured", trace.counted.voltage, first[_counts(trace)], "measured", "points", 3, 0.5))
         lines.append(Series("simulated", trace.voltage, second, "simulated", width=1.2))
     return Chart(traces[0].record, VOLTAGE, Axis(quantity, unit), [*dots, *lines], role=traces[0].role)
 
 
+def _counts(trace: Trace) -> Any:
+    """Return the index of the samples that count."""
+    return slice(None) if trace.counts is None else trace.counts
+
+
 def off_line(traces: Sequence[Trace]) -> tuple[list[Array], float]:
     """Return measured displacements minus their best straight line over voltage [m], and its slope [m/V]."""
-    voltage, y = (np.concatenate([getattr(trace, name) for trace in traces]) for name in ("voltage", "measured"))
+    voltage, y = np.hstack([(trace.voltage, trace.measured) for trace in (each.counted for each in traces)])
     middle, rest = voltage.mean(), y.mean()
-    spread = float((voltage - middle) @ (voltage - middle))
-    slope = float((voltage - middle) @ (y - rest) / spread) if np.ptp(voltage) else 0.0
+    slope = float((voltage - middle) @ (y - rest) / max((voltage - middle) @ (voltage - middle), 1e-300))
     return [trace.measured - rest - slope * (trace.voltage - middle) for trace in traces], slope
 
 
@@ -157,8 +157,8 @@ def residual_in_time(traces: Sequence[Trace], stroke: float, limit: float | None
 def residual_over_displacement(traces: Sequence[Trace], stroke: float, limit: float | None = None) -> Chart:
     """Return residuals [% of the stroke in m] over displacement, by branch, with the means of bins."""
     factor, unit = length_unit(max(float(np.ptp(trace.measured)) for trace in traces))
-    place = np.concatenate([trace.simulated * factor for trace in traces])
-    off = np.concatenate([100 * trace.residual / stroke for trace in traces])
+    place = np.concatenate([trace.counted.simulated * factor for trace in traces])
+    off = np.concatenate([100 * trace.counted.residual / stroke for trace in traces])
     up = np.concatenate([_rising(trace) for trace in traces])
     clouds, means = [], []
     branches: tuple[tuple[Colour, Mask], ...] = (("rising", up), ("falling", ~up))
@@ -170,8 +170,8 @@ def residual_over_displacement(traces: Sequence[Trace], stroke: float, limit: fl
 
 def _residual(traces: Sequence[Trace], x: Axis, series: Sequence[Series], stroke: float, limit: float | None) -> Chart:
     """Return a chart of residuals with the noise band, up to a `limit` [%] or to the largest residual."""
-    noise = _DEVIATIONS * 100 * max(white_noise(trace.residual) for trace in traces) / stroke
-    most = max(largest(trace.residual) for trace in traces) if limit is None else limit * stroke / 100
+    noise = _DEVIATIONS * 100 * max(white_noise(trace.counted.residual) for trace in traces) / stroke
+    most = max(largest(trace.counted.residual) for trace in traces) if limit is None else limit * stroke / 100
     y = Axis("residual", _PERCENT, None if limit is None else (-limit, limit))
     right, notes = _in_metres("residual", stroke, most), [("95 % of the noise", "band")]
     chart = Chart(traces[0].record, x, y, series, traces[0].role, right, zero=True, notes=notes)
@@ -179,11 +179,11 @@ def _residual(traces: Sequence[Trace], x: Axis, series: Sequence[Series], stroke
 
 
 def _rising(trace: Trace) -> Mask:
-    """Return whether each sample lies on a rising branch (n,); a hold belongs to the branch before it."""
+    """Return whether each sample that counts lies on a rising branch; a hold belongs to the branch before it."""
     # The simulated displacement moves in the direction of the voltage, and rests when the voltage rests.
     sign = np.sign(np.diff(trace.simulated, prepend=trace.simulated[:1]))
     last = np.maximum.accumulate(np.where(sign != 0, np.arange(sign.size), 0))
-    return np.asarray(sign[last] >= 0)
+    return np.asarray(np.asarray(sign[last] >= 0)[_counts(trace)])
 
 
 def _means(place: Array, values: Array) -> tuple[Array, Array]:

@@ -50,9 +50,9 @@ def before_and_after(fit: Fit) -> Part:
     if not shown:
         return ""
     trace = next((trace for trace in shown if trace.role == "validation"), shown[0]).settled
-    stroke = pictures.stroke_of(fit)
-    (off,), slope = pictures.off_line([trace])
-    before, after = (number(100 * largest(error) / stroke) for error in (off, trace.residual))
+    stroke, counted = pictures.stroke_of(fit), trace.counted
+    (off,), slope = pictures.off_line([counted])
+    before, after = (number(100 * largest(error) / stroke) for error in (off, counted.residual))
     caption = (
         f"Largest error on this record after its second turning point: {before} % of the stroke with the best straight "
         f"scale factor ({number(slope * 1e6)} µm/V), {after} % with the model. "
@@ -94,7 +94,7 @@ def _residuals(fit: Fit, title: str, caption: str, chart: Callable[..., Chart]) 
     shown, stroke = _shown(fit), pictures.stroke_of(fit)
     if not shown:
         return ""
-    limit = 1.1 * max(100 * largest(trace.residual) / stroke for trace in shown) or 1.0
+    limit = 1.1 * max(100 * largest(trace.counted.residual) / stroke for trace in shown) or 1.0
     return Charts(title, caption + _only(fit), [chart([trace], stroke, limit) for trace in shown])
 
 

@@ -129,7 +129,8 @@ class Insight(Plotted):
     @cached_property
     def misfit(self) -> float:
         """Largest error of the model on the records [m]."""
-        return max(largest(errors_of(self.actuator, each, "training")[1].settled.residual) for each in self.comparisons)
+        traces = (errors_of(self.actuator, each, "training")[1] for each in self.comparisons)
+        return max(largest(trace.settled.counted.residual) for trace in traces)
 
     @property
     def turns(self) -> TurnPlane | None:

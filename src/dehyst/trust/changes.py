@@ -173,7 +173,7 @@ def find_changes(trace: Trace, known: Known) -> tuple[Change, ...]:
 class _SimulatedLoop:
     """A simulated loop: time, voltage, measured and simulated displacement, mean line, and mean line at 0 V.
 
-    `began`: time of the record's first sample; `start`: which samples may depend on the fitted start.
+    `began`: time of the first sample; `start`, `counts`: samples that may depend on the fitted start, and that count.
     """
 
     time: Array
@@ -184,6 +184,7 @@ class _SimulatedLoop:
     rest: float
     began: float
     start: Mask
+    counts: Mask
 
     @classmethod
     def of(cls, trace: Trace) -> _SimulatedLoop:
@@ -202,6 +203,7 @@ class _SimulatedLoop:
             float(np.interp(0.0, knots, levels)),
             min(trace.began, float(trace.time[0])),
             np.arange(trace.time.size) < first,
+            np.ones(trace.time.size, dtype=bool) if trace.counts is None else trace.counts,
         )
 
     def later(self, delay: float) -> _SimulatedLoop:
@@ -293,12 +295,10 @@ class _ChangeFit:
         scale = np.linalg.norm(self.columns, axis=0)
         back = np.linalg.pinv(self.columns / scale, rcond=_DEPENDENT) / scale[:, None]
         within = loop.simulated - loop.mean
-        voltage, within, start = (
-            _means(values, self.blocks) for values in (loop.voltage, within, loop.start.astype(np.float64))
-        )
-        alike = np.exp(
-            -_apart(voltage, _ALIKE * np.ptp(voltage)) - _apart(within, _ALIKE_IN_LOOP * np.abs(within).max())
-        )
+        signals = loop.voltage, within, loop.start.astype(np.float64)
+        voltage, within, start = (_means(values, self.blocks) for values in signals)
+        wide, high = _ALIKE * np.ptp(voltage), _ALIKE_IN_LOOP * np.abs(within).max()
+        alike = np.exp(-_apart(voltage, wide) - _apart(within, high))
         own, changed = known.own**2, float(np.var(self.columns @ self.values))
         error = (own + float(np.mean(self.left**2)) + _UNLIKE**2 * changed) * alike
         error += (changed + own) * np.outer(start, start) * alike
@@ -359,7 +359,7 @@ def _regression(loop: _SimulatedLoop, known: Known, slow: str | None) -> _Change
     if slow is not None:
         columns[slow] = loop.slow(slow, known.cycle)
     names = [name for name in _WORDS if name in columns]
-    kept = np.flatnonzero(np.isfinite(rate))
+    kept = np.flatnonzero(np.isfinite(rate) & loop.counts)
     long = max(1, kept.size // _BLOCKS)
     blocks = kept[: kept.size // long * long].reshape(-1, long)
     whole = np.column_stack([columns[name] for name in names])

@@ -266,9 +266,8 @@ class Played(NamedTuple):
     def score(self, model: AbstractModel, stroke: float) -> RecordScore:
         """Return the errors of a model [% of the stroke]."""
         item, delay = self.item, float(getattr(model, "delay", 0.0))
-        residuals = [
-            _residual(model, piece, kept, item.noise, lead=self.lead > 0) for piece, kept in self.counted(delay)
-        ]
+        counted = self.counted(delay)
+        residuals = [_residual(model, *own, item.noise, lead=self.lead > 0) for own in counted]
         error = np.concatenate([np.zeros(0), *residuals])
         if not error.size:
             raise IdentifyError(f"{item.name}: no sample counts with the model's delay of {delay:.3g} s")

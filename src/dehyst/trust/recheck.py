@@ -320,13 +320,13 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         prepared.span()
         stroke = stroke_of(actuator)
         compared = compare(actuator, prepared, stroke, zero=zero_by_voltages(actuator, prepared, stroke))
-        errors, trace = errors_of(actuator, compared, "validation")
+        errors, whole = errors_of(actuator, compared, "validation")
         promise = actuator.promise(record.voltage, record.time, temperature=record.temperature, begins="fitted")
-        begin = _judged_from(actuator, trace, errors.starts[0], promise)
-    slow, cycle = origin.drift and prepared.can_drift, prepared.cycle
+        begin = _judged_from(actuator, whole, errors.starts[0], promise)
+    slow, cycle, trace = origin.drift and prepared.can_drift, prepared.cycle, whole.counted
     error, drift = _steadied(trace) if slow else (trace.residual - trace.residual.mean(), 0.0)
     # The constant is the mean error of complete loops.
-    judged = error[begin:] - error[-trace.settled.time.size if begin else 0 :].mean()
+    judged = error[trace.time >= whole.time[begin]] - error[-whole.settled.counted.time.size if begin else 0 :].mean()
     # With as many turns as the recommended excitation has, another record would not show more.
     many = turning_points(record.voltage, _TURN_PART * float(np.ptp(record.voltage))).size > _TURNS
     own = (origin.largest_error or 0.0) / NOISE_PEAK if promise is None else promise.rms
@@ -349,10 +349,10 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         stroke=stroke,
         goal=goal,
         drift=drift,
-        changes=find_changes(trace, known),
+        changes=find_changes(whole, known),
         remarks=(*remarks, *_uncovered(actuator, record), *prepared.sentences),
-        trace=trace,
-        unjudged=float(trace.time[begin]) - min(trace.began, float(trace.time[0])) if begin else 0.0,
+        trace=whole,
+        unjudged=float(whole.time[begin]) - min(whole.began, float(whole.time[0])) if begin else 0.0,
         promise=promise,
         to_record="" if many else sampled(*excitation(*voltages_of(actuator)[::-1], pace), step),
     )

@@ -224,7 +224,7 @@ class _Refit:
             # Prepare again: the updated model predicts creep from before the record, and positions between events.
             self.prepared = prepare_for(made, self.record)
             made, held_out_models = self._solved(made)
-        before, after = self._error(self.recheck.trace), self._error(self._trace(made))
+        before, after = self._error(self.recheck.trace.counted), self._error(self._trace(made))
         held_out = self._held_out(held_out_models)
         used = max(rms(held_out), rms(after)) < _BETTER * rms(before)
         known: dict[str, Any] = {}
@@ -248,7 +248,7 @@ class _Refit:
         """
         from scipy.optimize import minimize_scalar
 
-        settled, used = self.recheck.trace.settled, self.record.voltage_range
+        settled, used = self.recheck.trace.settled.counted, self.record.voltage_range
         slope = float(np.polyfit(settled.simulated, settled.measured, 1)[0])
         reach = float(np.ptp(major_loop(self.old, used)))
 
@@ -338,7 +338,7 @@ class _Refit:
     def _trace(self, made: Actuator) -> Trace:
         """Return a model simulated along the record, with a start and a zero of the sensor that are fitted to it."""
         compared = compare(made, self.prepared, self.recheck.stroke, drifting=self.drifts)
-        return errors_of(made, compared, "validation")[1]
+        return errors_of(made, compared, "validation")[1].counted
 
     @staticmethod
     def _error(trace: Trace) -> Array:

@@ -4,9 +4,4 @@ from emulator.faults import Fault, Rehearsal
 from emulator.gcs_controller import Controller
 from emulator.gcs_server import Server
 
-__all__ = [
-    "Controller",
-    "Fault",
-    "Rehearsal",
-    "Server",
-]
+__all__ = ["Controller", "Fault", "Rehearsal", "Server"]

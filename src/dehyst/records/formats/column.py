@@ -64,11 +64,7 @@ QUANTITIES = {
         range=(5e-9, 2e-3),
     ),
     "temperature": ColumnWords(
-        example="temperature_C",
-        words="temperature, temp",
-        parts="temp",
-        units=("degC",),
-        range=(0.0, 100.0),
+        example="temperature_C", words="temperature, temp", parts="temp", units=("degC",), range=(0.0, 100.0)
     ),
 }
 # Smallest and largest possible value of a piezo actuator and its instruments, in SI units; units that smaller and
