@@ -12,7 +12,7 @@ from dehyst import ModelError
 from dehyst.model import DisplacementCreep, Thermal, Validity
 from dehyst.model.branches import branches_of, distances
 from dehyst.model.promise import promise
-from dehyst.model.temperatures import TemperatureCost
+from dehyst.model.temperatures import to_record
 from dehyst.report.sections import _PARTS as WORDS
 
 SPAN, STROKE = 100.0, 1e-5
@@ -167,13 +167,11 @@ def test_an_untested_or_unknown_temperature_adds_an_error():
         ((15.0, 45.0), (10.0, 60.0), True, (10.0, 60.0)),
         ((20.0, 21.0), (19.0, 22.5), False, ()),
         ((20.0, 21.0), (20.0, 40.0), False, (30.0, 40.0)),
-        (None, (20.0, 40.0), False, ()),
-        ((15.0, 45.0), None, True, ()),
     ],
 )
 def test_temperatures_to_record_cover_the_temperatures_in_use(tested, used, thermal, needed):
     part = Thermal(gain=1e-3, offset=0.0, reference=30.0) if thermal else None
-    assert TemperatureCost(part, tested, STROKE, used).to_record == needed
+    assert to_record(part, tested, used) == needed
 
 
 @pytest.mark.parametrize(

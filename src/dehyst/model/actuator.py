@@ -306,12 +306,13 @@ class Actuator(Plotted, JsonFile, AbstractModel):
     def promise(
         self, voltage: ArrayLike | None = None, time: ArrayLike | None = None, **options: Any
     ) -> Promise | None:
-        """Return the error to expect of a path, by default of any path like the records; None without a `Validity`.
+        """Return the error to expect of a path; None if the model lacks what its records tested.
 
         Parameters
         ----------
         voltage : (n,) array_like, optional
-            Voltage that follows the path [V].
+            Voltage that follows the path [V]. Default: any path like the records, with turning points anywhere within
+            their voltages, at their speeds.
         time : (n,) array_like, optional
             Time of the voltage [s]; without it, speeds and holds are assumed to be as in the records.
         temperature : float or (n,) array_like, optional

@@ -37,7 +37,7 @@ from dehyst.model.branches import (
 from dehyst.model.dynamics import DisplacementCreep, Thermal
 from dehyst.model.entries import Entries, entry, flag
 from dehyst.model.states import stroke_of
-from dehyst.model.temperatures import TemperatureCost
+from dehyst.model.temperatures import temperature_cost
 from dehyst.records import rms
 
 if TYPE_CHECKING:
@@ -316,27 +316,11 @@ def promise(
 ) -> Promise:
     """Return the promised error of a path when its voltage is played; every promised number comes from here.
 
-    Parameters
-    ----------
-    validity : Validity
-        Validity of the model that computed the voltage.
-    voltage : (n,) array_like, optional
-        Voltage that follows the path [V]; default: any path like the records, with turning points anywhere within
-        their voltages, at their speeds.
-    time : (n,) array_like, optional
-        Time of the voltage [s]; without it, speeds and holds are assumed to be as in the records.
-    thermal, creep : optional
-        Parts of the model.
-    temperature : float or (n,) array_like, optional
-        Temperature of the path [degC]; default: not known.
-    waits : float
-        Time [s] for which the voltage is held before the path, or before the homing that leads to it.
-    begins : str
-        Start of the path: "homed", "unknown", the name of a known start, or nothing.
-    opened : (n,) array_like
-        Possible distance from the expected displacement [m] due to an unknown start, apart from a constant.
-    missed : (n,) array_like
-        Error that the model computes [m] where the voltage was clamped.
+    `validity` is that of the model that computed the voltage; `thermal` and `creep` are parts of it. `voltage`, `time`
+    and `temperature` are as in `Actuator.promise`. `waits`: time [s] for which the voltage is held before the path, or
+    before the homing that leads to it. `begins`: start of the path: "homed", "unknown", the name of a known start, or
+    nothing. `opened` (n,): possible distance from the expected displacement [m] due to an unknown start, apart from a
+    constant. `missed` (n,): error that the model computes [m] where the voltage was clamped.
     """
     v, clock = (None if given is None else np.asarray(given, dtype=np.float64) for given in (voltage, time))
     v = _anywhere(validity) if v is None else v
@@ -348,11 +332,12 @@ def promise(
     largest = max(largest, validity.largest) if voltage is None else largest
     each = LARGEST * shown * _grown(beyond) if len(at) else np.array([largest])
     half = np.repeat(each, np.diff([0, *at[1:, 0], v.size]))
-    cost = TemperatureCost(thermal, validity.temperatures, validity.stroke, temperature)
+    warmth, sentence = temperature_cost(thermal, validity.temperatures, validity.stroke, temperature)
+    warm = float(warmth.max(initial=0.0))
     slow = _crept(validity, creep, v, clock)
     # Half of a range bounds the standard deviation of values in it.
-    rms_, half = rms_ + 0.5 * (cost.largest + slow), half + cost.along + slow
-    parts = {"model": largest} | {k: e for k, e in {"temperature": cost.largest, "creep": slow}.items() if e}
+    rms_, half = rms_ + 0.5 * (warm + slow), half + warmth + slow
+    parts = {"model": largest} | {k: e for k, e in {"temperature": warm, "creep": slow}.items() if e}
     if late:
         parts["lag"], rms_, half = late, float(np.hypot(rms_, _LATE_RMS * late)), half + late
     # Nothing is known beyond the voltages of the records: the whole displacement there counts as error.
@@ -363,7 +348,7 @@ def promise(
             rms_, half, parts[name] = float(np.hypot(rms_, rms(error))), half + error, float(error.max())
     largest = sum(parts.values())
     untested = [*(not_recorded(validity) if voltage is None else untested_by(validity, v, clock, at, waits))]
-    untested += [Untested("temperature", cost.sentence)] if cost.sentence else []
+    untested += [Untested("temperature", sentence)] if sentence else []
     start = f"this path{_BEGINS.get(begins, f' from the start {begins}')}"
     words = "any path like the records" if voltage is None else start
     offset, delay = _OFFSET * parts["model"] + slow, validity.lag if validity.lag_open else 0.0
@@ -377,7 +362,7 @@ def untested(actuator: Actuator, found: Promise | None, temperature: ArrayLike |
     """
     if found is not None:
         return *filter(None, [found.unusable]), *(condition.sentence for condition in found.untested)
-    sentence = TemperatureCost(actuator.thermal, None, stroke_of(actuator), temperature).sentence
+    _, sentence = temperature_cost(actuator.thermal, None, stroke_of(actuator), temperature)
     return (sentence,) if sentence else ()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -222,9 +221,10 @@ def state_at(actuator: Actuator, state: State, displacement: float) -> State:
 
 
 def timed(model: AbstractModel, time: Array) -> dict[str, Any]:
-    """Return the keywords `time` and `extrapolate` if a model has them; records may exceed its training range."""
-    given = {"time": time, "extrapolate": True}
-    return {name: value for name, value in given.items() if name in inspect.signature(model.simulate).parameters}
+    """Return the keywords for a record with `time` (n,) [s]: it may exceed the training range of an actuator."""
+    from dehyst.model.actuator import Actuator
+
+    return {"time": time} | ({"extrapolate": True} if isinstance(model, Actuator) else {})
 
 
 def beginning(model: AbstractModel, voltage: Array) -> Any:

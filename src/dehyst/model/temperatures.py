@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,99 +29,60 @@ def temperature_range(records: Iterable[Record]) -> tuple[float, float] | None:
     return min(float(values.min()) for values in known), max(float(values.max()) for values in known)
 
 
-def words_of(temperatures: Iterable[float]) -> str:
-    """Return temperatures as text: "10, 35 and 60 degC"."""
-    *some, last = [f"{degrees:.3g}" for degrees in temperatures]
-    return f"{', '.join(some)}{' and ' if some else ''}{last} degC"
+def to_record(thermal: Thermal | None, tested: tuple[float, float], temperature: ArrayLike) -> tuple[float, ...]:
+    """Return the temperatures [degC] to record at so that the records cover those of a path; empty if they do.
+
+    `tested`: lowest and highest temperature of the records [degC].
+    """
+    low, high = float(np.min(temperature)), float(np.max(temperature))
+    near = NEAR_KELVINS if thermal is None else _ALIKE
+    needed = {end for end, off in ((low, tested[0] - low), (high, high - tested[1])) if off > near}
+    if needed and thermal is None:
+        # The records do not show an effect of temperature: it needs a third temperature in the middle.
+        needed.add(0.5 * (min(low, tested[0]) + max(high, tested[1])))
+    return tuple(sorted(needed))
 
 
-@dataclass(frozen=True, eq=False)
-class TemperatureCost:
-    """The error of a path due to its temperature.
+def temperature_cost(
+    thermal: Thermal | None, tested: tuple[float, float] | None, stroke: float, temperature: ArrayLike | None
+) -> tuple[Array, str]:
+    """Return the error of a path due to its temperature [m], one or one per sample, and a sentence on it.
 
     Each kelvin outside of the tested temperatures adds the whole effect of a kelvin. If the temperature is not known,
-    the path is computed at the reference, and the effect up to the farthest tested temperature is added.
+    the path is computed at the reference, and the effect up to the farthest tested temperature is added. The sentence
+    is empty if the temperature is tested.
 
-    Parameters
-    ----------
-    thermal : Thermal or None
-        Part of the model.
-    tested : (float, float) or None
-        Lowest and highest temperature of its records [degC].
-    stroke : float
-        [m]
-    temperature : float or (n,) array_like, optional
-        Temperature of the path [degC]; default: not known.
+    `tested`: lowest and highest temperature of the records [degC], if known. `stroke` [m]. `temperature`: of the path,
+    one or (n,) [degC]; None: not known.
     """
-
-    thermal: Thermal | None
-    tested: tuple[float, float] | None
-    stroke: float
-    temperature: ArrayLike | None = None
-
-    @cached_property
-    def kelvins(self) -> Array:
-        """Distance [K] from the tested temperatures, one or one per sample; if unknown, of them from the reference."""
-        if self.tested is None:
-            return np.zeros(())
-        low, high = self.tested
-        if self.temperature is None:
-            reference = None if self.thermal is None else self.thermal.reference
-            return np.asarray(0.0 if reference is None else max(reference - low, high - reference, 0.0))
-        degrees = np.asarray(self.temperature, dtype=np.float64)
-        return np.asarray(np.maximum(np.maximum(low - degrees, degrees - high), 0.0))
-
-    @property
-    def per_kelvin(self) -> float:
-        """Largest change of the displacement per kelvin [m/K]."""
-        return 0.0 if self.thermal is None else self.thermal.per_kelvin(self.stroke)
-
-    @property
-    def along(self) -> Array:
-        """The added error [m], one number or one per sample."""
-        return np.asarray(self.per_kelvin * self.kelvins)
-
-    @property
-    def largest(self) -> float:
-        """The largest added error [m]."""
-        return float(self.along.max(initial=0.0))
-
-    @property
-    def to_record(self) -> tuple[float, ...]:
-        """Temperatures [degC] to record at so that the records cover those of the path; empty if they already do."""
-        if self.tested is None or self.temperature is None:
-            return ()
-        low, high = float(np.min(self.temperature)), float(np.max(self.temperature))
-        near, (coldest, hottest) = NEAR_KELVINS if self.thermal is None else _ALIKE, self.tested
-        needed = {end for end, off in ((low, coldest - low), (high, high - hottest)) if off > near}
-        if needed and self.thermal is None:
-            # The records do not show an effect of temperature: it needs a third temperature in the middle.
-            needed.add(0.5 * (min(low, coldest) + max(high, hottest)))
-        return tuple(sorted(needed))
-
-    @property
-    def sentence(self) -> str:
-        """Sentence about an unknown or untested temperature and its error; empty if the temperature is tested."""
-        tested = "" if self.tested is None else "{:.3g} to {:.3g} degC".format(*self.tested)
-        reference = None if self.thermal is None else self.thermal.reference
-        if self.temperature is None:
-            if reference is None:
-                return ""
-            within = f", {percent(self.largest, self.stroke)} within the {tested} of the records" if tested else ""
-            return (
-                f"Without a temperature the path is computed at {reference:.3g} degC; each kelvin off adds up to "
-                f"{percent(self.per_kelvin, self.stroke)} of the stroke{within}."
-            )
-        if not (needed := self.to_record):
-            return ""
-        farthest = float(self.kelvins.max(initial=0.0))
-        low, high = float(np.min(self.temperature)), float(np.max(self.temperature))
-        used = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
-        adds = "" if reference is None else f", which adds {percent(self.largest, self.stroke)} of the stroke"
-        return (
-            f"The model was not tested at {used} degC: the records have {tested}, {farthest:.3g} K away{adds}. "
-            f"Record at {words_of(needed)}."
+    reference = None if thermal is None else thermal.reference
+    per_kelvin = 0.0 if thermal is None else thermal.per_kelvin(stroke)
+    records = "" if tested is None else "{:.3g} to {:.3g} degC".format(*tested)
+    low, high = tested or (0.0, 0.0)
+    if temperature is None:
+        if reference is None:
+            return np.zeros(()), ""
+        along = np.asarray(per_kelvin * (max(reference - low, high - reference, 0.0) if tested else 0.0))
+        within = f", {percent(float(along), stroke)} within the {records} of the records" if tested else ""
+        return along, (
+            f"Without a temperature the path is computed at {reference:.3g} degC; each kelvin off adds up to "
+            f"{percent(per_kelvin, stroke)} of the stroke{within}."
         )
+    if tested is None:
+        return np.zeros(()), ""
+    degrees = np.asarray(temperature, dtype=np.float64)
+    kelvins = np.maximum(np.maximum(low - degrees, degrees - high), 0.0)
+    along = np.asarray(per_kelvin * kelvins)
+    if not (needed := to_record(thermal, tested, degrees)):
+        return along, ""
+    first, last = f"{degrees.min():.3g}", f"{degrees.max():.3g}"
+    used = first if degrees.min() == degrees.max() else f"{first} to {last}"
+    adds = "" if reference is None else f", which adds {percent(float(along.max()), stroke)} of the stroke"
+    *some, end = [f"{each:.3g}" for each in needed]
+    return along, (
+        f"The model was not tested at {used} degC: the records have {records}, {kelvins.max():.3g} K away{adds}. "
+        f"Record at {', '.join(some)}{' and ' if some else ''}{end} degC."
+    )
 
 
 def demand_thermal(*thermals: Thermal | None) -> Thermal:
