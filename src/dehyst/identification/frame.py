@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import exp
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +77,10 @@ class Frame:
     def before(self) -> list[Prepared]:
         """The records without drift, temperature and creep."""
         return [self.motion.before(item, q) for q, item in enumerate(self.training)]
+
+    def with_motion(self, **numbers: Any) -> Frame:
+        """Return the records with other `numbers` of the motion."""
+        return replace(self, motion=replace(self.motion, **numbers))
 
     def shift(self, number: int) -> float:
         """Return the shift of a record to the axis of the model, before creep [m]."""

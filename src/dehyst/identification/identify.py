@@ -9,8 +9,6 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from dehyst import _validation
-from dehyst._errors import IdentifyError
 from dehyst._threads import one_thread
 from dehyst._types import Progress
 from dehyst._version import __version__
@@ -52,21 +50,18 @@ def identify(
     progress: Progress | None = None,
     time_limit: float | Deadline | None = None,
 ) -> Fit:
-    """Identify an actuator from records of major and minor loops, which may start in any state.
-
-    Return a `Fit`; for records of several axes, a `StageFit` with each axis and the coupling matrix.
+    """Identify an actuator from records of loops; for several axes, return a `StageFit` with their coupling matrix.
 
     Parameters
     ----------
     records : Record or sequence of Record
-        Training records with at least one loop in total; minor loops improve the prediction of other motions.
+        Training records, from any state, with a loop in total; minor loops improve the prediction of other motions.
     validate : Record or sequence of Record, optional
         Records that are only simulated. A constant (and zero and drift) is fitted to each, as to training records.
     delay : float, optional
         Time by which the displacement lags the voltage [s]; default: estimated from the training records.
     sensor_lag : float, optional
-        Time constant [s] of the filter in the sensor, a low-pass of first order; 0 without a filter; default: unknown.
-        If it is given, any other lag belongs to the actuator.
+        Time constant [s] of the low-pass in the sensor, 0 without one. If given, any other lag is the actuator's.
     lag_of : {"actuator", "sensor"}, optional
         Cause of the lag that the records show; default: not known, and the promise has two numbers. The voltage of a
         planned path compensates a lag of the actuator, but not a lag of the sensor.
@@ -75,8 +70,8 @@ def identify(
     drift : bool, optional
         Whether to remove a drift from each record that is logarithmic in the time since its start.
     structure : {"auto", "maxwell_slip"} or Structure, optional
-        Static parts of the model. "auto": a dictionary of graded and smooth elements; the held-out error selects the
-        smoothing. "maxwell_slip": slip elements and a spring, as in Yeh's paper. Or a given structure.
+        Static parts of the model. "auto": graded and smooth elements with the smoothing of the least held-out error.
+        "maxwell_slip": slip elements and a spring, as in Yeh's paper. Or a given structure.
     goal : float, optional
         Largest allowed error [% of the stroke] of a model that is ready for use: see `Expectation`.
     progress : callable, optional
@@ -92,22 +87,26 @@ def identify(
     IdentifyError
         If an option is impossible, or no sample contains information on the elements.
     """
-    settings = Settings(delay, sensor_lag, lag_of, shared_zero, drift, structure)
-    _validation.Numbers(least=1e-3, most=100.0, error=IdentifyError)(goal, "goal")
     deadline = time_limit if isinstance(time_limit, Deadline) else Deadline(time_limit)
+    settings = Settings(delay, sensor_lag, lag_of, shared_zero, drift, structure, goal)
+    alone = partial(_alone, settings, deadline)
     report = deadline.watched(progress or (lambda _: None))
     training, held_out = distinct(records, validate)
-
-    def alone(training: list[Record], held_out: list[Record], report: Progress) -> Fit:
-        def fit(some: list[Record], others: list[Record]) -> Fit:
-            return _Run(settings, some, others, report, goal, deadline).fit()
-
-        with one_thread():
-            return events.identified(as_list(training), as_list(held_out), fit)
-
     if training[0].axes:
         return cast("Fit", identify_axes(training, held_out, alone, report))
     return alone(training, held_out, report)
+
+
+def _alone(
+    settings: Settings, deadline: Deadline, training: Sequence[Record], held_out: Sequence[Record], report: Progress
+) -> Fit:
+    """Identify the actuator of one axis."""
+
+    def fit(some: list[Record], others: list[Record]) -> Fit:
+        return _Run(settings, some, others, report, deadline).fit()
+
+    with one_thread():
+        return events.identified(as_list(training), as_list(held_out), fit)
 
 
 @dataclass(eq=False)
@@ -118,7 +117,6 @@ class _Run:
     records: list[Record]
     others: list[Record]
     report: Progress
-    goal: float
     deadline: Deadline
     remarks: list[str] = field(default_factory=list)
     trials: list[Trial] = field(default_factory=list)
@@ -159,9 +157,9 @@ class _Run:
         demand_short(settings.delay or 0.0, "delay", min(item.cycle for item in self.items))
         self.temperatures, self.left_out = temperatures_of(self.records)
         if (found := self.temperatures) is not None:
-            motion = replace(self.frame.motion, reference=found.reference, lowest=self.frame.span[0])
             # The gain is fitted first: a moved zero could explain a part of it.
-            step = partial(search.warmed, replace(self.frame, motion=motion))
+            warm = self.frame.with_motion(reference=found.reference, lowest=self.frame.span[0])
+            step = partial(search.warmed, warm)
             self.frame = self.deadline.attempt(step, self.frame, "the search for an effect of temperature")
         if len(self.training) > 1 and not settings.shared_zero:
             step = partial(search.with_zeros, self.frame, self.report)
@@ -193,7 +191,7 @@ class _Run:
             drift=self.can_drift(),
             more=not plain,
         )
-        nothing: tuple[Frame, tuple[str, ...], list[Trial]] = search.cold(self.frame), (), []
+        nothing: tuple[Frame, tuple[str, ...], list[Trial]] = self.frame.with_motion(reference=None), (), []
         self.frame, names, trials = self.deadline.attempt(step, nothing, "the search for delay, creep and resonance")
         self.trials += trials
         steady = self.frame.training[0].steady
@@ -208,7 +206,7 @@ class _Run:
     def _lead(self, seconds: float) -> None:
         """Move the voltages of all records earlier, as the displacement leads them; set the delay to 0."""
         self.records, self.others = ([earlier(item, seconds) for item in part] for part in (self.records, self.others))
-        self.lead, motion = seconds, replace(self.frame.motion, delay=0.0)
+        self.lead, motion = seconds, self.frame.with_motion(delay=0.0).motion
         self.prepared(ringing=self.ringing)
         self.frame = replace(self.frame, motion=motion)
         self.remarks.append(messages.LEADS.format(seconds=1e3 * seconds))
@@ -333,11 +331,11 @@ class _Run:
         validated = outcome is not Outcome.INACCURATE and not apart
         records, held_out = [item.record for item in self.items], self.held_out_errors(made, actuator)
         validity = validity_of(records, judged, remaining, traces, held_out, self.noise, validated=validated, **known)
-        expected = expectation(outcome, errors, checked, validity, self.noise, self.goal, caveats)
+        expected = expectation(outcome, errors, checked, validity, self.noise, self.settings.goal, caveats)
         trained = errors[: len(self.training)]
         worst = max(error.largest for error in trained)
         actuator = with_identification(
-            actuator, outcome=outcome, largest_error=worst, goal=self.goal, validity=validity
+            actuator, outcome=outcome, largest_error=worst, goal=self.settings.goal, validity=validity
         )
         self.remark(made, actuator, trained)
         used = {"delay_s": lag, "stroke_m": self.stroke, "cut": [*self.deadline.cut]}

@@ -191,6 +191,17 @@ class _Search:
         """Return the names of the moving parts of a solution, except parts that always move and those in `without`."""
         return tuple(name for name in made.names if name not in (*self.always, *without))
 
+    def lag_again(self, best: Fitted, other: Fitted) -> Fitted:
+        """Try the lag again beside the `other` parts: a lag may hide these, and they may imitate a lag."""
+        names = self.own(other, "delay")
+        on_time = other.frame.with_motion(delay=0.0)
+        both = self.tried(on_time, names if "delay" in other.names else ("delay", *names), near=other.found)
+        best = _best([best, both])
+        if "delay" in both.names and not _lags(both.frame) and both.held_out < best.held_out:
+            # This delay has another cause and is left out; the better numbers of the other parts are kept.
+            best = _best([best, self.tried(both.frame.with_motion(delay=0.0), names, near=both.found)])
+        return best
+
 
 def moving(
     frame: Frame, report: Progress, *, lag: bool, drift: bool, more: bool
@@ -201,16 +212,16 @@ def moving(
     """
     search = _Search(report, always=("zero",) if frame.motion.zero.any() else ())
     tau = creep_times(_FASTEST * frame.times[0], frame.times[1])
-    creep_before = np.zeros((len(frame.training), tau.size))
-    frame = replace(frame, motion=replace(frame.motion, time_constants=tau, gains=0 * tau, creep_before=creep_before))
-    best = search.tried(cold(frame), ())
+    none = np.zeros((len(frame.training), tau.size))
+    frame = frame.with_motion(time_constants=tau, gains=0 * tau, creep_before=none)
+    best = search.tried(frame.with_motion(reference=None), ())
     if frame.motion.thermal is not None:
         warm = [search.tried(frame, names) for names in (("thermal",), ("thermal", "expansion"))]
         best = _best([best, *warm])
         if "thermal" in best.names:
             search.always = (*search.own(best), *search.always)
         else:
-            frame = cold(frame)
+            frame = frame.with_motion(reference=None)
     # Creep, logarithmic drift and linear drift are tried in turn.
     items, steady = frame.training, [replace(item, steady=True) for item in frame.training]
     ways = list[tuple[tuple[str, ...], Any, str]]([(("creep", "creep_before"), items, "")] if more else [])
@@ -223,41 +234,27 @@ def moving(
     ]
     best = _best([base, *beside])
     if lag and beside:
-        # A lag may hide the other parts, and these may imitate a lag: the lag is tried again with the best of them.
-        other = min(beside, key=lambda made: made.score)
-        names = search.own(other, "delay")
-        on_time = replace(other.frame, motion=replace(other.frame.motion, delay=0.0))
-        both = search.tried(on_time, names if "delay" in other.names else ("delay", *names), near=other.found)
-        best = _best([best, both])
-        if "delay" in both.names and not _lags(both.frame) and both.held_out < best.held_out:
-            # This delay has another cause and is left out; the better numbers of the other parts are kept.
-            on_time = replace(both.frame, motion=replace(both.frame.motion, delay=0.0))
-            best = _best([best, search.tried(on_time, names, near=both.found)])
+        best = search.lag_again(best, min(beside, key=lambda made: made.score))
     late = best if "delay" in best.names else late
     at = late.frame.motion
     # A low-pass as slow as the cycles gives a delay that is too long, but about as long as its time constant.
     too_long = at.delay > RULES.longest_lag * min(item.cycle for item in frame.training)
     # A lag below a sample does not show whether it is a delay or a low-pass, and its inverse would overshoot at steps.
     if "delay" in late.names and (late is best or too_long) and at.delay >= frame.times[0]:
-        slow = replace(late.frame, motion=replace(at, delay=0.0, lag=max(at.delay, 0.0)))
+        slow = late.frame.with_motion(delay=0.0, lag=max(at.delay, 0.0))
         best = _best([best, search.tried(slow, ("lag", *search.own(late, "delay")), near=late.found)])
     # Creep shows in rests. Without rests, `hidden` is the largest usual creep that does not raise the held-out error.
     for rate in _USUAL_CREEP if more and "creep" not in best.names and not any(frame.rests) else ():
-        creeping = replace(best.frame, motion=replace(best.frame.motion, gains=np.full_like(tau, rate / A_DECADE)))
+        creeping = best.frame.with_motion(gains=np.full_like(tau, rate / A_DECADE))
         made = fitted(creeping, _LIGHT, FEW, (*best.names, "creep_before"), _TURNS, best.found)
         if RULES.moving_gain * made.held_out <= best.held_out:
-            best = replace(best, frame=replace(best.frame, motion=replace(best.frame.motion, hidden=rate)))
+            best = replace(best, frame=best.frame.with_motion(hidden=rate))
     if more and _may_swing(frame):
         swinging = _tuned(search.tried(best.frame, (*search.own(best), "inertia")))
         search.trials[-1] = replace(search.trials[-1], held_out=swinging.held_out)
         if swinging.score < best.score and _excited(swinging.frame):
             best = swinging
     return best.frame, best.names, search.trials
-
-
-def cold(frame: Frame) -> Frame:
-    """Return the records without an effect of temperature."""
-    return replace(frame, motion=replace(frame.motion, reference=None))
 
 
 def _tuned(made: Fitted) -> Fitted:
@@ -359,7 +356,7 @@ def with_zeros(frame: Frame, report: Progress) -> Frame:
     for q in range(zero.size):
         report("estimating the zeros of the sensor")
         zero[q] = 0.0 if q == frame.widest else _zero(frame, q)
-    frame = replace(frame, motion=replace(frame.motion, zero=zero))
+    frame = frame.with_motion(zero=zero)
     return fitted(frame, _PLAIN, FEW, ("zero",), _TURNS).frame if zero.any() else frame
 
 

@@ -115,10 +115,7 @@ class Deadline:
 
 @dataclass(frozen=True, eq=False)
 class Settings:
-    """Options of `dehyst.identify`; see there.
-
-    Raise `IdentifyError` if an option is impossible.
-    """
+    """Options of `dehyst.identify`, see there; raise `IdentifyError` if one is impossible."""
 
     delay: float | None = None
     sensor_lag: float | None = None
@@ -126,6 +123,7 @@ class Settings:
     shared_zero: bool = False
     drift: bool = True
     structure: Structure | Literal["auto", "maxwell_slip"] = "auto"
+    goal: float = 1.0
 
     def __post_init__(self) -> None:
         for name in ("delay", "sensor_lag"):
@@ -135,6 +133,7 @@ class Settings:
         if self.structure not in ("auto", "maxwell_slip") and not isinstance(self.structure, Structure):
             need = "'auto', 'maxwell_slip' or a dehyst.Structure"
             raise IdentifyError(argument="structure", got=repr(self.structure), need=need)
+        _validation.Numbers(least=1e-3, most=100.0, error=IdentifyError)(self.goal, "goal")
 
     @property
     def lags(self) -> str | None:

@@ -155,7 +155,8 @@ def stage_excitation(
     """Return descending tops on each axis in turn, with the others at the base, then a motion of all axes together.
 
     In this motion each axis turns at other levels, and the ratio of the periods is irrational, so that no combination
-    of states repeats. The excitation has `axes`, and `parts` "x alone", ... and "together".
+    of states repeats. The excitation has `axes`, and `parts` "x alone", ... and "together". Raise `RecordError` as all
+    excitations do, and if the axes have different sample rates.
 
     Parameters
     ----------
@@ -171,11 +172,6 @@ def stage_excitation(
         Names of the axes; default: x, y, z.
     seed : int
         Seed of the levels at which the axes turn in this motion.
-
-    Raises
-    ------
-    RecordError
-        As `descending_tops`, or if the axes have different sample rates.
     """
     count = len(highest)
     names = axis_names(DEFAULT_AXES[:count] if axes is None else axes, count, "excitation", RecordError)
