@@ -84,11 +84,8 @@ def text(fit):
 
 def test_the_page_has_all_sections_in_order(text):
     page = Page(text)
-    assert page.tags.count("html") == page.tags.count("main") == page.tags.count("h1") == 1
     # Before and after; a loop and two residuals a record.
     assert charts(page) == [str(i) for i in range(1 + 2 * 3 + TURNS + MODEL)]
-    ids = [value for _, key, value in page.attributes if key == "id"]
-    assert len(ids) == len(set(ids))
     # Headline, before and after, and residuals in time are in sight; one fold holds the rest.
     sight, _, rest = text.partition("<summary>All that was found</summary>")
     assert "Residuals in time" in sight and "<details" not in sight.rpartition("<details>")[0] and "Loops, m" in rest
@@ -96,7 +93,7 @@ def test_the_page_has_all_sections_in_order(text):
 
 def test_the_page_requests_nothing_from_outside(text):
     page = Page(text)
-    assert not {"link", "iframe", "object", "embed", "base"} & set(page.tags)
+    page.assert_alone(text)
     # A script, named by its hash, and its data; nothing may be evaluated.
     said = [value for tag, _, value in page.attributes if tag == "script"]
     assert said == ["application/json", "chart-data", "module"]
@@ -104,14 +101,6 @@ def test_the_page_requests_nothing_from_outside(text):
     digest = base64.b64encode(hashlib.sha256(source.encode()).digest()).decode()
     assert f"script-src 'sha256-{digest}'\"" in text
     assert re.search(r"^(import|export) ", source, re.M) is None
-    for _, key, value in page.attributes:
-        if key in ("src", "href", "xlink:href", "srcset", "action"):
-            assert value.startswith(("#", "data:image/png;base64,"))
-        elif not key.startswith("xmlns") and key != "content":
-            assert "//" not in (value or "")
-    assert "@import" not in text
-    assert re.findall(r"url\((?!#)", text) == []
-    assert "default-src 'none'" in text
 
 
 @pytest.mark.parametrize(

@@ -43,3 +43,20 @@ class Page(HTMLParser):
     @property
     def words(self):
         return re.sub(r"\s+", " ", "".join(self.text))
+
+    def assert_alone(self, text, reached=lambda tag, link: False):
+        """Nothing is loaded from elsewhere; every link leads to a place of the page, or to what is `reached`."""
+        assert self.tags.count("html") == self.tags.count("main") == self.tags.count("h1") == 1
+        assert not {"link", "iframe", "object", "embed", "base"} & {*self.tags}
+        ids = [value for _, key, value in self.attributes if key == "id"]
+        assert len(ids) == len({*ids})
+        used = set(re.findall(r"url\(#([^)]+)\)", text))
+        for tag, key, link in self.attributes:
+            if key in ("src", "href", "xlink:href", "srcset", "action"):
+                assert link.startswith(("#", "data:image/png;base64,")) or reached(tag, link), link
+                used |= {link[1:]} if link.startswith("#") else set()
+            elif not key.startswith("xmlns") and key != "content":
+                assert "//" not in (link or "")
+        assert used <= {*ids}
+        assert "@import" not in text and not re.findall(r"url\((?!#)", text)
+        assert "default-src 'none'" in text
