@@ -41,6 +41,13 @@ def test_no_part_is_found_in_static_records_with_noise(seed, turns):
     assert (motion.delay, motion.lag, motion.mass, motion.creep, motion.drift.any()) == (0, 0, 0, None, False)
 
 
+def test_a_vibration_is_no_part_of_the_model():
+    record = tops()
+    y = record.displacement + 0.005 * STROKE * np.sin(2 * np.pi * 3.1 * record.time)
+    motion, names = found([replace(record, displacement=y)])
+    assert not {"inertia", "creep"} & names and motion.delay < 0.2 * STEP
+
+
 @pytest.mark.parametrize("samples", [3, 0.5, -0.5, -0.25, -1.0, -1.5])
 def test_a_delay_is_found_and_a_lead_of_at_most_half_a_sample(samples):
     motion, names = found([moved.delayed(samples, NOISE)], more=False)

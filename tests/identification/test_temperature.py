@@ -1,6 +1,5 @@
 """Temperature, drift, noise and vibration: parts are found where records show them, and only then."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -135,36 +134,3 @@ def test_a_check_at_an_untested_temperature_says_so_and_has_a_wider_promise(warm
     assert "temperature" not in tested.promise.parts
     assert not any("not tested" in remark for remark in tested.remarks)
     assert any("not tested" in remark for remark in hot.remarks)
-
-
-RATE = 50.0
-PLANT = plain_records.plant(10)
-
-
-def recorded(actuator, disturb):
-    """Loops of falling size, fast, then slow, and a hold, in one record; relaxed at the start."""
-    corners = plain_records.VOLTS * np.array([0, 1, 0, 0.7, 0, 0.85, 0, 0.5, 0, 0.65, 0, 0.35, 0, 0.9, 0])
-    parts = [np.linspace(a, b, n + 1)[1:] for n in (40, 100) for a, b in itertools.pairwise(corners)]
-    voltage = np.concatenate([corners[:1], *parts, np.full(round(20 * RATE), corners[-1])])
-    made = plain_records.driven(actuator, voltage, rate=RATE, state=actuator.relaxed(), seed=1)
-    stroke = np.ptp(made.displacement)
-    jitter = 5e-4 * np.random.default_rng(1).normal(size=len(made))
-    return replace(made, displacement=made.displacement + stroke * (jitter + disturb(made.time)))
-
-
-DISTURBANCES = {
-    "drift": lambda time: 0.03 * time / time[-1],
-    "vibration": lambda time: 0.005 * np.sin(2 * np.pi * 3.1 * time),
-    "noise": lambda time: 5e-3 * np.random.default_rng(2).normal(size=time.size),
-}
-
-
-@pytest.mark.parametrize("name", [at_night("drift"), "vibration", at_night("noise")])
-def test_disturbances_do_not_become_parts_of_the_model(name):
-    fit = dehyst.identify(recorded(PLANT, DISTURBANCES[name]), **SETTINGS)
-    assert fit.actuator.dynamics is None
-    assert fit.actuator.displacement_creep is None
-    # Part of a sample; a vibration of half a percent moves turns by more.
-    assert RATE * fit.actuator.delay < 0.2
-    if name == "vibration":
-        assert fit.remaining[0].frequency == pytest.approx(3.1, abs=0.1)
