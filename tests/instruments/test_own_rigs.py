@@ -43,7 +43,7 @@ def bluesky():
 def test_an_axis_scans_without_hysteresis(bluesky):
     actuator, rows, engine = plant(), [], bluesky["engine"]
     wanted = 1e6 * STROKE * np.array([0.2, 0.5, 0.8, 0.5, 0.2, 0.6])
-    with SimulatedRig(ModelledActuator(actuator), device_limits=(0.0, VOLTS)) as rig:
+    with SimulatedRig(ModelledActuator(actuator, VOLTS), device_limits=(0.0, VOLTS)) as rig:
         axis = bluesky["CompensatedAxis"](rig, actuator, name="axis")
         engine(bluesky["homing"](axis))
         engine(
@@ -56,7 +56,7 @@ def test_an_axis_scans_without_hysteresis(bluesky):
 def test_an_axis_of_unknown_state_is_not_moved(bluesky):
     actuator, engine = plant(), bluesky["engine"]
     move = bluesky["list_scan"]
-    with SimulatedRig(ModelledActuator(actuator), device_limits=(0.0, VOLTS)) as rig:
+    with SimulatedRig(ModelledActuator(actuator, VOLTS), device_limits=(0.0, VOLTS)) as rig:
         axis = bluesky["CompensatedAxis"](rig, actuator, name="axis")
         with pytest.raises(Exception, match="home it first"):
             engine(move([], axis, [1.0]))

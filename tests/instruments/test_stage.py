@@ -241,7 +241,7 @@ class TestAddresses:
         assert bounds_of_axes((0, 50), None, 3) == [((0, 50), None)] * 3
         own = [(0, 50), None, (0, 40)], [200.0, None, 100.0]
         assert bounds_of_axes(*own, 3) == list(zip(*own, strict=True))
-        with pytest.raises(RigError, match="slew_rate: got 2 for 3"):
-            bounds_of_axes(None, [1.0, 2.0], 3)
-        with pytest.raises(RigError, match="limits: got 2 for 3"):
-            bounds_of_axes(LIMITS[:2], None, 3)
+        for name, given in (("slew_rate", (None, [1.0, 2.0], 3)), ("limits", (LIMITS[:2], None, 3))):
+            with pytest.raises(RigError) as caught:
+                bounds_of_axes(*given)
+            assert (caught.value.argument, caught.value.got) == (name, "2 for 3")

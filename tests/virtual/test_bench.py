@@ -8,8 +8,7 @@ import pytest
 from hand_clock import Hand
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plain_records import plant
-from truths import VIRTUAL, BoucWenActuator, ModelledActuator, PreisachActuator
+from truths import VIRTUAL, BoucWenActuator, PreisachActuator
 
 from dehyst import DehystError, ModelError
 from dehyst.instruments import DeviceError, open_rig
@@ -24,7 +23,6 @@ TRUTHS = {
     "creep": lambda: PlayActuator(plays=40, creep=0.01),
     "preisach": PreisachActuator,
     "boucwen": BoucWenActuator,
-    "model": lambda: ModelledActuator(plant()),
 }
 
 
