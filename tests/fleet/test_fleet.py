@@ -2,9 +2,6 @@
 
 import json
 import re
-import subprocess
-import sys
-import time
 from contextlib import contextmanager
 from itertools import pairwise
 
@@ -17,25 +14,10 @@ import dehyst.fleet
 from dehyst import FileFormatError, Record
 from dehyst.fleet import NUMBERS, identify_fleet
 from dehyst.virtual import PlayActuator
+from examples import at_night
 
 parquet = pytest.importorskip("pyarrow.parquet")
 distributed = pytest.importorskip("distributed", reason="needs Dask: pip install 'dehyst[fleet]'")
-
-# The last record waits for a file.
-PROGRAM = """
-import sys, time
-import dehyst.fleet
-
-dehyst.fleet._OFTEN = 0.0
-
-def read(path):
-    while path.name == "4.csv" and not path.with_name("go").exists():
-        time.sleep(0.02)
-    raise ValueError(path.name)
-
-if __name__ == "__main__":
-    print(dehyst.fleet.identify_fleet(sys.argv[1], sys.argv[2], read=read).computed)
-"""
 
 
 def record(seed, stroke=10e-6, samples=60):
@@ -119,17 +101,21 @@ def test_only_records_without_a_row_are_computed(folder, tmp_path, in_this_proce
         assert (status, numbers) == (1, [2, computed, 2 - computed, 2])
 
 
-def test_rows_are_kept_if_the_run_ends_early(folder, tmp_path, in_this_process):
-    output = tmp_path / "t.parquet"
+def test_rows_are_written_at_once_and_kept_if_the_run_ends_early(folder, tmp_path, in_this_process, monkeypatch):
+    monkeypatch.setattr(dehyst.fleet, "_OFTEN", 0.0)
+    monkeypatch.setattr(dehyst.fleet, "_SELDOM", 0.0)
+    output, seen = tmp_path / "t.parquet", []
 
     def read(path):
         if path.name == "dead.csv":
+            # A run that is killed here has this row.
+            seen.extend(rows(output))
             raise KeyboardInterrupt
         return dehyst.read(path)
 
     with pytest.raises(KeyboardInterrupt):
         identify_fleet([folder / "bad.csv", folder / "dead.csv"], output, read=read)
-    assert [row["record"] for row in rows(output).values()] == [(folder / "bad.csv").as_posix()]
+    assert [*rows(output)] == seen == [(folder / "bad.csv").as_posix()]
 
 
 def test_an_unexpected_error_in_one_record_is_a_row(folder, tmp_path, in_this_process):
@@ -159,13 +145,16 @@ def test_an_output_that_is_no_table_is_refused(folder, tmp_path):
     assert output.read_text() == "else"
 
 
-def test_workers_of_a_scheduler_compute_the_rows(folder, tmp_path, in_this_process, monkeypatch):
+@pytest.mark.parametrize("local", [False, at_night(True)])
+def test_workers_of_a_scheduler_compute_the_rows(folder, tmp_path, in_this_process, monkeypatch, local):
+    """And those of this computer, which are started without one."""
     files = [folder / "A" / "1.csv", folder / "bad.csv"]
     identify_fleet(files, tmp_path / "here.parquet")
     monkeypatch.undo()
     given = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
     with distributed.LocalCluster(protocol="tcp", **given) as cluster:
-        identify_fleet(files, tmp_path / "there.parquet", scheduler=cluster.scheduler_address)
+        address = None if local else cluster.scheduler_address
+        identify_fleet(files, tmp_path / "there.parquet", scheduler=address)
     assert rows(tmp_path / "there.parquet") == rows(tmp_path / "here.parquet")
 
 
@@ -173,29 +162,6 @@ def test_an_unreachable_scheduler_is_reported(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(dehyst.fleet, "_PATIENCE", 1)
     with pytest.raises(OSError, match="Dask scheduler"):
         identify_fleet(folder, tmp_path / "t.parquet", scheduler="tcp://127.0.0.1:9")
-
-
-@pytest.mark.nightly
-def test_a_killed_run_is_continued(tmp_path):
-    output, records = tmp_path / "t.parquet", tmp_path / "records"
-    records.mkdir()
-    for k in range(5):
-        (records / f"{k}.csv").write_text("")
-    (tmp_path / "program.py").write_text(PROGRAM)
-    command = [sys.executable, tmp_path / "program.py", records, output]
-    with subprocess.Popen(command) as process:
-        end = time.monotonic() + 120
-        while not output.exists() and time.monotonic() < end:
-            time.sleep(0.05)
-        process.kill()
-    before = rows(output)
-    assert 0 < len(before) < 5
-    (records / "go").touch()
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
-    assert int(done.stdout) == 5 - len(before)
-    after = rows(output)
-    assert [row["reason"] for row in after.values()] == [f"unexpected ValueError: {k}.csv" for k in range(5)]
-    assert before.items() <= after.items()
 
 
 @pytest.mark.parametrize("name", ["folder", "absent.csv"])

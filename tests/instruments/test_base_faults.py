@@ -6,14 +6,13 @@ import warnings
 
 import numpy as np
 import pytest
-from emulator import Controller, Fault, Rehearsal, Server
 from fake_gcs import FakeController
 from faulty_link import Meddling, PipeLink, QuickRig
+from pi_on_emulator import by_tcp
 
 from dehyst._errors import DehystError
-from dehyst.instruments import LinkError, open_rig
+from dehyst.instruments import LinkError
 from dehyst.instruments.pi import PiRig
-from dehyst.virtual import PlayActuator, VirtualBench
 from dehyst.waveforms import Excitation
 from examples import at_night
 
@@ -138,23 +137,17 @@ def test_ctrl_c_during_an_answer_causes_a_retreat(seed):
     assert rig.set_voltage(12.5) == 12.5
 
 
-def served(faults=(), **options):
-    bench = VirtualBench(PlayActuator(), limits=DEVICE, **({"speed": 20.0} | options))
-    return bench, Server(Controller(bench), port=0, rehearsal=Rehearsal([Fault.parse(fault) for fault in faults]))
-
-
 def test_a_second_client_is_refused_and_the_first_is_not_disturbed():
-    _, server = served()
-    with server, open_rig(f"pi://127.0.0.1:{server.port}/1", limits=ALLOWED) as rig:
+    with by_tcp(limits=ALLOWED) as (rig, _):
+        host, port = rig.name.rpartition(" ")[2].split(":")
         with pytest.raises(LinkError, match="client connected"):
-            PiRig.connect("127.0.0.1", server.port, timeout=0.3)
+            PiRig.connect(host, int(port), timeout=0.3)
         assert rig.set_voltage(3.0) == 3.0
 
 
 def test_ten_thousand_samples_come_quickly():
-    _, server = served(speed=1000.0)
     wave = Excitation("many", 30 - 30 * np.cos(np.linspace(0, 30, 10000)), 1000.0)
-    with server, open_rig(f"pi://127.0.0.1:{server.port}", limits=ALLOWED) as rig, warnings.catch_warnings():
+    with by_tcp(speed=1000.0, limits=ALLOWED) as (rig, _), warnings.catch_warnings():
         warnings.simplefilter("error")
         began = time.process_time()
         record = rig.play(wave)

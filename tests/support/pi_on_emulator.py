@@ -51,9 +51,9 @@ def by_pipe(longest=65536, **options):
 
 
 @contextmanager
-def by_tcp(longest=65536, **options):
+def by_tcp(longest=65536, speed=2.0, **options):
     """Open a PI controller over a socket, at twice the speed."""
-    instrument = _instrument(longest, speed=2.0)
+    instrument = _instrument(longest, speed=speed)
     with Server(Controller(instrument), port=0) as server, PiRig.connect("127.0.0.1", server.port, **options) as rig:
-        rig._now = lambda: 2.0 * time.monotonic()
+        rig._now = lambda: speed * time.monotonic()
         yield rig, Locked(instrument, server.lock)
