@@ -17,28 +17,24 @@ def pair(units="um", **options):
 
 
 @pytest.mark.parametrize(("units", "counts"), [("mm", 1e3), ("um", 1e6), ("nm", 1e9)])
-def test_loops_and_paths_in_any_unit_give_the_same_voltages(units, counts):
-    metres, other = pair(units)
+@pytest.mark.parametrize("highest", [200, 100])
+@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
+def test_loops_and_paths_in_any_unit_give_the_same_voltages(units, counts, highest):
+    """Of a path that is followed, and of one that is clamped."""
+    metres, other = pair(units, limits=(0, highest))
     path = PATH / 1e6 * counts
-    command, expected = plan_path(other, path, home=False), plan_path(metres, path / counts, home=False)
-    np.testing.assert_array_equal(command.voltage, expected.voltage)
-    np.testing.assert_allclose(command.displacement, path, rtol=1e-14)
-    assert (command.units, command.warnings) == (units, expected.warnings)
+    command, expected = plan_path(other, path, home=False), plan_path(metres, PATH / 1e6, home=False)
+    for own in ("phase", "clamped", "voltage"):
+        np.testing.assert_array_equal(getattr(command, own), getattr(expected, own))
+    for own in ("displacement", "expected", "missed"):
+        np.testing.assert_allclose(getattr(command, own), counts * np.array(getattr(expected, own)), rtol=1e-12)
+    assert (command.units, command.warnings, repr(command)) == (units, expected.warnings, repr(expected))
+    assert (command.missed > 0) == (highest == 100)
     for wanted in path.tolist():
         assert other.offer(wanted) == metres.offer(wanted / counts)
         assert other.step(wanted) == metres.step(wanted / counts)
     np.testing.assert_array_equal(other.run(path), metres.run(path / counts))
     np.testing.assert_allclose(other.reach, np.multiply(metres.reach, counts), rtol=1e-15)
-
-
-def test_a_clamped_path_is_reported_in_the_unit():
-    metres, micro = pair(limits=(0, 100))
-    expected, command = plan_path(metres, PATH / 1e6, home=False), plan_path(micro, PATH, home=False)
-    assert command.missed == pytest.approx(expected.missed * 1e6, rel=1e-12) and command.missed > 0.1
-    assert command.warnings == expected.warnings
-    assert repr(command) == repr(expected)
-    for own, factor in (("phase", 1), ("clamped", 1), ("voltage", 1), ("displacement", 1e6), ("expected", 1e6)):
-        np.testing.assert_allclose(getattr(command, own), factor * getattr(expected, own), rtol=1e-14)
 
 
 def test_a_displacement_far_out_of_reach_is_refused_in_its_unit():

@@ -9,24 +9,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from summaries import anatomy
 
 from dehyst import Compensator
 from dehyst._errors import ModelError
 from dehyst._io import read_json, write_json
 from dehyst.model import (
     Actuator,
-    DisplacementCreep,
-    Dynamics,
-    GradedSlip,
     Identification,
     MaxwellSlip,
     Outcome,
-    SmoothSlip,
     Spring,
     Stage,
     State,
     Thermal,
-    Transformer,
     with_identification,
 )
 from dehyst.model.promise import Validity
@@ -107,23 +103,8 @@ def made():
 
 
 def wide():
-    plain = made()
-    return Actuator(
-        GradedSlip(plain.slip.breakaway, [0.0, 4e-6, 1e-5], [[2e6, 2.5e6], [1e6, 0.3]]),
-        plain.spring,
-        State(1e-6, [0.95e-6, 0.8e-6], [1.1e-6, 0.1 / 3], [1 / 3e6, -2e-6], [1e-8 / 3]),
-        transformer=Transformer([0.0, 50.0, 100.0], [0.0, 1 / 3 + 51, 100.0]),
-        smooth=SmoothSlip([1e-6, 2e-6], [1.0, 2 / 3], [1e6 / 3, 0.0]),
-        dynamics=Dynamics(2000 / 3, 0.01, 1e5 / 3),
-        displacement_creep=DisplacementCreep([2.0], [0.1 / 3]),
-        thermal=Thermal(1e-3 / 3, 2e-9, 25.0),
-        lag=1e-3 / 3,
-        load_stiffness=1e7 / 3,
-        limits=plain.limits,
-        name=plain.name,
-        provenance=plain.provenance,
-        identification=plain.identification,
-    )
+    more = {"limits": made().limits, "identification": made().identification}
+    return replace(anatomy("all"), thermal=Thermal(1e-3, 2e-9, 25.0), **more)
 
 
 @given(actuators())

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dehyst._text import digits
 from dehyst._types import Array
 from dehyst.identification.results import Check, Trace, Verdict, may_creep
+from dehyst.model import segment_of
 from dehyst.records import rms, turning_points, white_noise
 
 _OF_STROKE, _A_DECADE = "% of the stroke", "% a decade"
@@ -75,7 +76,7 @@ def _patterns(training: Sequence[Trace], stroke: float) -> list[Check]:
     # Mean residuals at the places (K,) [% of the stroke], one row for each branch.
     falling, rising = list[Array](), list[Array]()
     for trace in settled:
-        place = np.clip(np.searchsorted(edges, trace.simulated, side="right") - 1, 0, _PLACES - 1)
+        place = segment_of(edges, trace.simulated)
         for branch in _branches(trace):
             count = np.bincount(place[branch], minlength=_PLACES)
             total = np.bincount(place[branch], 100 * trace.residual[branch] / stroke, _PLACES)

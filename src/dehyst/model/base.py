@@ -68,14 +68,7 @@ class State(Entries):
     def _unchecked(
         cls, deformation: float, carts: Array, motion: Array, smooth: Array, displacement_creep: Array
     ) -> State:
-        """Return a state of arrays that a computation made from a valid state; they are not copied.
-
-        Parameters
-        ----------
-        deformation : float
-        carts, motion, smooth, displacement_creep : array
-            See `State`; shapes and values are not checked.
-        """
+        """Return a state of arrays that a computation made from a valid state; they are not copied and not checked."""
         state = cls.__new__(cls)
         parts = {"motion": motion, "smooth": smooth, "displacement_creep": displacement_creep}
         keep(state, deformation=deformation, carts=carts, **parts)

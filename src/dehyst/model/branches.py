@@ -13,6 +13,7 @@ from dehyst._text import digits
 from dehyst._types import Array
 from dehyst._views.fields import json_values
 from dehyst._views.lines import percent
+from dehyst.model.elements import segment_of
 from dehyst.records import turning_points
 from dehyst.waveforms import FASTER, STEEPEST
 
@@ -96,7 +97,7 @@ def tested_loops(branches: Array, edges: Array) -> tuple[NDArray[np.bool_], NDAr
     `edges` (n + 1,) [V]: edges of the cells. A row belongs to an upper voltage, a column to a lower voltage. A branch
     tests branches that begin within two cells of its beginning and end at most two cells beyond its end.
     """
-    cells, rising, places = _cells(branches, edges), branches[:, 1] > branches[:, 0], np.arange(len(edges) - 1)
+    cells, rising, places = segment_of(edges, branches), branches[:, 1] > branches[:, 0], np.arange(len(edges) - 1)
     low, high = np.sort(cells, axis=1).T[:, :, None]
     passed = (places >= low - _AROUND) & (places <= high + _AROUND)
     beside = np.abs(places - cells[:, :1]) <= _AROUND
@@ -107,13 +108,8 @@ def tested_loops(branches: Array, edges: Array) -> tuple[NDArray[np.bool_], NDAr
 
 def are_tested(path: Array, rising: NDArray[np.bool_], falling: NDArray[np.bool_], edges: Array) -> NDArray[np.bool_]:
     """Return for each branch (k, 2) [V] of a path whether its cell is tested; see `tested_loops`."""
-    lower, upper = _cells(np.sort(path, axis=1), edges).T
+    lower, upper = segment_of(edges, np.sort(path, axis=1)).T
     return np.asarray(np.where(path[:, 1] > path[:, 0], rising[upper, lower], falling[upper, lower]))
-
-
-def _cells(branches: Array, edges: Array) -> NDArray[np.intp]:
-    """Return the cells of the ends of branches (k, 2)."""
-    return np.clip(np.searchsorted(edges, branches, side="right") - 1, 0, len(edges) - 2)
 
 
 @dataclass(frozen=True)

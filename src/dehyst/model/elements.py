@@ -29,14 +29,13 @@ def segment_of(knots: Array, y: ArrayLike) -> NDArray[np.intp]:
     return np.clip(np.searchsorted(knots, y, side="right") - 1, 0, knots.size - 2)
 
 
-def parts_in_segments(knots: Array, y: Array) -> Array:
-    """Return the part of y in each segment between knots, shape (n, M - 1); end segments are unbounded.
+def parts_in_segments(knots: Array, y: ArrayLike) -> Array:
+    """Return the part of y (...) in each segment between knots, shape (..., M - 1); end segments are unbounded.
 
     A spring of slopes a_j between its knots holds ``eta(knots[0]) + sum_j a_j parts_j(y)``.
     """
-    lower, upper = knots[:-1].copy(), knots[1:].copy()
-    lower[0], upper[-1] = -np.inf, np.inf
-    return np.asarray(np.clip(y[:, None], lower, upper) - knots[:-1])
+    lower, upper = np.append(-np.inf, knots[1:-1]), np.append(knots[1:-1], np.inf)
+    return np.asarray(np.clip(np.asarray(y, dtype=np.float64)[..., None], lower, upper) - knots[:-1])
 
 
 def on_curve(knots: Array, values: Array, at: ArrayLike) -> Array:
@@ -124,14 +123,11 @@ class GradedSlip(Entries):
 
     def internal_voltage(self, positions: ArrayLike) -> Array:
         """Return psi_i [V] at `positions` [m] of shape (..., N) or (..., 1), as shape (..., N); 0 at the first knot."""
-        z = np.asarray(positions, dtype=np.float64)[..., None]
-        lower, upper = np.append(-np.inf, self.knots[1:-1]), np.append(self.knots[1:-1], np.inf)
-        return np.asarray(((np.clip(z, lower, upper) - self.knots[:-1]) * self.stiffness).sum(axis=-1))
+        return np.asarray((parts_in_segments(self.knots, positions) * self.stiffness).sum(axis=-1))
 
     def slopes_at(self, positions: ArrayLike) -> Array:
         """Return kappa_i [V/m] at `positions` [m] of shape (..., N) or (..., 1), as shape (..., N)."""
-        segment = np.searchsorted(self.knots[1:-1], np.asarray(positions), side="right")
-        return np.asarray(self.stiffness[np.arange(len(self)), segment])
+        return np.asarray(self.stiffness[np.arange(len(self)), segment_of(self.knots, positions)])
 
 
 class Curve(Entries):

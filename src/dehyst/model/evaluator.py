@@ -15,7 +15,7 @@ from dehyst._types import Array
 from dehyst._validation import FARTHEST, LEAST, demand_computable, demand_result, vector
 from dehyst.model.base import State
 from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal, clock, low_pass_tables
-from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer
+from dehyst.model.elements import GradedSlip, MaxwellSlip, SmoothSlip, Spring, Transformer, segment_of
 from dehyst.model.temperatures import demand_thermal
 
 # Relative rounding error of the difference of two slopes, and of the numbers of a state.
@@ -363,7 +363,7 @@ def least_slope(slip: MaxwellSlip | GradedSlip, spring: Spring) -> float:
         # Nothing lies between bends that coincide but for rounding.
         apart = np.diff(bends) > _ROUNDING * np.ptp(bends)
         at = np.concatenate([[bends[0] - 1], 0.5 * (bends[1:] + bends[:-1])[apart], [bends[-1] + 1]])
-        own_slope = spring.slopes[np.searchsorted(spring.displacement[1:-1], at, side="right")]
+        own_slope = spring.slopes[segment_of(spring.displacement, at)]
         gains, losses = slip.slopes_at(at[:, None]).sum(axis=1), slip.slopes_at(at[:, None] - rho).sum(axis=1)
         slope, rounding = own_slope + gains - losses, _ROUNDING * (own_slope + gains)
         worst = int(np.argmin(slope - rounding))

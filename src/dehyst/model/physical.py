@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 from dehyst._errors import ModelError
 from dehyst._types import Array
-from dehyst._validation import number, vector
+from dehyst._validation import number
 from dehyst._views.lines import brief
 from dehyst.model.elements import MaxwellSlip
 
@@ -22,18 +19,12 @@ if TYPE_CHECKING:
 class Physical:
     """The paper's symbols (Table 1), from terminal coordinates and nominal T, km and ke.
 
-    `transformer_ratio` is T. `mechanical_stiffness` is km [N/m]. `electrical_stiffness` is ke [N/m]. `rest` [m]: the
-    displacement at which the spring alone holds 0 V, where x = 0.
-
-    `stiffness`, `friction`, `breakaway` (N,): k_i [N/m], f_i [N] and r_i = f_i / k_i [m of x]. `deformation`,
-    `nonlinear`, `parallel` (M,): x [m] at the spring's knots; the nonlinear spring's force g(x) and h(x) = keq x + g(x)
-    [N].
+    `equivalent_stiffness`: keq = ke km / (ke + km) [N/m]. `stiffness`, `friction`, `breakaway` (N,): k_i [N/m], f_i [N]
+    and r_i = f_i / k_i [m of x]. `deformation`, `nonlinear`, `parallel` (M,): x [m] at the spring's knots; the
+    nonlinear spring's force g(x) and h(x) = keq x + g(x) [N].
     """
 
-    transformer_ratio: float
-    mechanical_stiffness: float
-    electrical_stiffness: float
-    rest: float
+    equivalent_stiffness: float
     stiffness: Array
     friction: Array
     breakaway: Array
@@ -74,19 +65,4 @@ class Physical:
         c, h = equivalent / km, ratio * spring.voltage
         x = (spring.displacement - rest) / c
         elements = slip.stiffness * ratio * c, slip.friction * ratio, slip.breakaway / c
-        return cls(float(ratio), float(km), float(ke), rest, *elements, x, h - equivalent * x, h)
-
-    @property
-    def equivalent_stiffness(self) -> float:
-        """Keq = ke km / (ke + km) [N/m]."""
-        km, ke = self.mechanical_stiffness, self.electrical_stiffness
-        return ke * km / (ke + km)
-
-    def charge(self, displacement: ArrayLike) -> Array:
-        """Return the charge q = T x [C] (theory section 9) at a `displacement` (n,) [m], 0 at `rest`.
-
-        With dynamics or a load, pass the displacement w, such as `State.deformation`. Raise `ModelError` if it is not
-        finite.
-        """
-        moved = vector(displacement, "displacement") - self.rest
-        return np.asarray(self.transformer_ratio * moved * self.mechanical_stiffness / self.equivalent_stiffness)
+        return cls(equivalent, *elements, x, h - equivalent * x, h)
