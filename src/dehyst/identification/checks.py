@@ -87,7 +87,7 @@ def _patterns(training: Sequence[Trace], stroke: float) -> list[Check]:
     passed = (rises > 0) & (falls > 0)
     if not passed.any():
         unpassed = "No branches of both directions pass the same place."
-        return [_unknown(name, _OF_STROKE, unpassed) for name in ("Width", "Middle line")]
+        return [Check(name, Verdict.UNKNOWN, None, None, _OF_STROKE, unpassed) for name in ("Width", "Middle line")]
     # The scatter of few branches is uncertain: the floor is Student's quantile, for the worst of all places.
     free = np.maximum(np.minimum(rises, falls), _FEWEST) - 1
     floors = 0.5 * stdtrit(free, 1 - _RISK / (2 * _PLACES)) * np.hypot(up_error, down_error)
@@ -128,7 +128,8 @@ def _no_drift(training: Sequence[Trace], stroke: float) -> Check:
             value, floor, unit = value * passed, floor * passed, _OF_STROKE
         drifts.append((value / max(floor, _SMALLEST), value, floor, unit, trace.record))
     if not drifts:
-        return _unknown("No drift", _A_DECADE, "No record has enough branches to determine a drift.")
+        few = "No record has enough branches to determine a drift."
+        return Check("No drift", Verdict.UNKNOWN, None, None, _A_DECADE, few)
     _, value, floor, unit, record = max(drifts)
     why = "the actuator has slower creep than the model, or its surroundings change"
     return _tested("No drift", value, floor, f"{record}: the residual drifts by {digits(value)} {unit}", why, unit)
@@ -158,10 +159,6 @@ def _tested(name: str, value: float, floor: float, sentence: str, why: str, unit
         return Check(name, Verdict.FAILS, value, floor, unit, f"{sentence}: {why}.")
     cause = "has no effect" if value <= _SMALLEST else "scatter explains"
     return Check(name, Verdict.HOLDS, value, floor, unit, f"{sentence}, which {cause}.")
-
-
-def _unknown(name: str, unit: str, sentence: str) -> Check:
-    return Check(name, Verdict.UNKNOWN, None, None, unit, sentence)
 
 
 @dataclass(frozen=True)
