@@ -33,8 +33,8 @@ _UNNAMED = (
 )
 # Names of the axes of a stage: with several of them in a file, "y" is not the displacement.
 _AXES = {"x", "y", "z"}
-# Largest number of columns of a file that are compared with one another.
-_MOST = 12
+# Largest number of columns of a file that are compared with one another; times that show the usual step.
+_MOST, _STEPS = 12, 10_000
 
 
 class ColumnError(FileFormatError):
@@ -151,7 +151,9 @@ class Table:
                 values: Array = in_si(column.data, unit)
             else:
                 values = column.data if entry.scale.kind else entry.scale.apply(quantity, unit, column.data)
-            step = float(np.median(np.diff(values))) if quantity == "time" and values.size > 1 else 0.0
+            # The first median of NumPy imports modules that cost a tenth of reading a million rows.
+            steps = np.diff(values[:_STEPS]) if quantity == "time" else values[:0]
+            step = float(np.sort(steps)[steps.size // 2]) if steps.size and np.isfinite(steps).all() else 0.0
         if quantity == "voltage" and entry.scale is None and column.is_plug and is_small(values):
             hint = (
                 f"if an amplifier multiplies or divides it, give {quantity}={shortened(column.name)}*{GAIN} with the "

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from datetime import date
 from typing import NamedTuple
 
@@ -53,53 +53,59 @@ def is_number(cell: str) -> bool:
     return bool(cell)
 
 
-def decimal_sign(blocks: Blocks, delimiter: str | None, given: str | None) -> tuple[str, int]:
-    """Return the decimal sign that the user states, else the sign that cells show, or a point; and the number of lines.
+class DecimalSign:
+    """The decimal sign of a table: the one that the user states, else the one that cells show, or a point.
 
-    Raise `DecimalSignError` if the cells do not show the sign, and `FileFormatError` if they show both.
+    `first`: for each sign, the first cell with it, in words. `known`: the sign that a cell shows without doubt; empty
+    if there is none yet.
     """
-    found, certain, lines = dict[str, str](), set[str](), 0
-    for before, block in blocks():
-        lines += len(block)
-        for sign in [sign for sign in _SIGNS if given is None and sign not in certain]:
-            first, sure = _shown(before, block, delimiter, sign)
-            if first:
-                found.setdefault(sign, first)
-            certain |= {sign} if sure else set()
-    if given is not None:
-        return given, lines
-    if len(found) > 1:
-        raise FileFormatError(
-            f"{found['.']} and {found[',']}, need one decimal sign in a file, and no groups of digits",
-            hint="save it with points, or state the sign: columns with the other one are left out",
-            change=("decimal",),
-        )
-    sign = next(iter(found), ".")
-    # Numbers that commas or blanks separate usually have a decimal point.
-    if found and sign not in certain and not (sign == "." and delimiter in (",", ", ", None)):
+
+    def __init__(self, delimiter: str | None, given: str | None) -> None:
+        self.delimiter, self.given, self.first, self.known = delimiter, given, dict[str, str](), given or ""
+
+    @property
+    def sign(self) -> str:
+        """The sign by which numbers are read."""
+        return self.given or next(iter(self.first), ".")
+
+    def look(self, before: int, block: list[str]) -> None:
+        """Look for signs in a block of lines, `before` which others are; raise `FileFormatError` if cells show both."""
+        for sign in () if self.given else [sign for sign in _SIGNS if sign != self.known]:
+            cells = _signed(before, block, self.delimiter, sign)
+            for line, cell in cells:
+                self.first.setdefault(sign, f"row {line} holds '{cell[:_SHOWN]}'")
+                if not _DOUBTFUL.fullmatch(cell):
+                    self.known = sign
+                    break
+        if len(self.first) > 1:
+            raise FileFormatError(
+                f"{self.first['.']} and {self.first[',']}, need one decimal sign in a file, and no groups of digits",
+                hint="save it with points, or state the sign: columns with the other one are left out",
+                change=("decimal",),
+            )
+
+    def demand(self) -> None:
+        """Raise `DecimalSignError` if no cell shows whether the sign groups digits."""
+        # Numbers that commas or blanks separate usually have a decimal point.
+        if self.known or not self.first or (self.sign == "." and self.delimiter in (",", ", ", None)):
+            return
         raise DecimalSignError(
-            f"{found[sign]}, which is a number with three decimals or a thousand times as large: no cell shows "
-            f"whether the {_SIGNS[sign]} is the decimal sign or groups digits",
-            hint=f'give "{_SIGNS[sign]}" if it is the decimal sign; else save it without groups of digits',
+            f"{self.first[self.sign]}, which is a number with three decimals or a thousand times as large: no cell "
+            f"shows whether the {_SIGNS[self.sign]} is the decimal sign or groups digits",
+            hint=f'give "{_SIGNS[self.sign]}" if it is the decimal sign; else save it without groups of digits',
             change=("decimal",),
         )
-    return sign, lines
 
 
-def _shown(before: int, block: list[str], delimiter: str | None, sign: str) -> tuple[str, bool]:
-    """Return the first cell of a block with a sign, in words, and whether a cell shows that the sign is decimal."""
-    number, first = re.compile(_SIGNED.format(sign)), ""
+def _signed(before: int, block: list[str], delimiter: str | None, sign: str) -> Iterator[tuple[int, str]]:
+    """Yield the cells of a block that are numbers with a sign, each with the number of its line."""
+    number = re.compile(_SIGNED.format(sign))
     # Between commas, a cell with a comma is in quotes.
     mark = '"' if sign == delimiter else sign
     for line, text in enumerate(block if mark in "".join(block) else (), before + 1):
         # The last line of a file may be cut off in the middle of a number.
-        if mark not in text or not (text.endswith("\n") or len(block) == 1):
-            continue
-        for cell in filter(number.fullmatch, cells_of(text, delimiter)):
-            first = first or f"row {line} holds '{cell[:_SHOWN]}'"
-            if not _DOUBTFUL.fullmatch(cell):
-                return first, True
-    return first, False
+        if mark in text and (text.endswith("\n") or len(block) == 1):
+            yield from ((line, cell) for cell in filter(number.fullmatch, cells_of(text, delimiter)))
 
 
 # A time of day after a date or alone, its fraction, and its offset from UTC; the longest timestamp.

@@ -18,10 +18,10 @@ from dehyst._units import FACTORS, symbol_of
 from dehyst.records.formats.column import Allowance, Column, shortened
 from dehyst.records.formats.notation import (
     Blocks,
+    DecimalSign,
     Moment,
     cells_of,
     clock_of,
-    decimal_sign,
     is_moment,
     moment,
     number_in,
@@ -30,8 +30,8 @@ from dehyst.records.formats.table_layout import Layout, is_comment, layout_of
 
 # Longest line of a measurement [characters].
 _LONGEST_LINE = 1_000_000
-# Characters that are read at once.
-_BLOCK = 100_000
+# Characters that are read at once; growth of the memory for numbers.
+_BLOCK, _GROWTH = 100_000, 1.25
 
 
 def _blocks(text: TextIO, whole_lines: bool, skip: int = 0) -> Iterator[tuple[int, list[str]]]:
@@ -83,21 +83,20 @@ def _read(
     columns = table.columns(allowance)
     # Separators without a name: an empty column, or what stands beside the table.
     columns = [column for column in columns if column.name or np.isfinite(column.data).any()]
-    return _with_clock(columns, layout.above, table.decimal)
+    return _with_clock(columns, layout.above, table.decimal.sign)
 
 
 class _Table:
     """The rows of a text file, read block by block.
 
-    `decimal`: the decimal sign. `lines`: their number. `count`: rows so far. `faults`, `clocks`: why a column cannot be
-    read, and the timestamps of one that has them. `hole`: line of the first empty row since the last row. `headers`:
-    lines of repeated headers.
+    `count`: rows so far. `faults`, `clocks`: why a column cannot be read, and the timestamps of one that has them.
+    `hole`: line of the first empty row since the last row. `headers`: lines of repeated headers.
     """
 
     def __init__(self, blocks: Blocks, layout: Layout, decimal: str | None) -> None:
         self.blocks, self.layout, self.delimiter = blocks, layout, layout.delimiter
         self.names, self.width = layout.names, len(layout.names)
-        self.decimal, self.lines = decimal_sign(blocks, self.delimiter, decimal)
+        self.decimal = DecimalSign(self.delimiter, decimal)
         self.count, self.hole = 0, 0
         self.faults: dict[int, str] = {}
         self.clocks: dict[int, list[Moment]] = {}
@@ -105,32 +104,47 @@ class _Table:
 
     def columns(self, allowance: Allowance) -> list[Column]:
         """Read all rows; raise FileFormatError if there are none, or if these are several tables."""
-        allowance.take(self.lines * self.width, "the number of its rows")
-        # Memory is taken as it is filled.
-        columns = np.empty((self.width, self.lines))
+        columns = [np.empty(0) for _ in range(self.width)]
         for number, block in self.blocks():
+            known = self.decimal.known
+            if not known:
+                self.decimal.look(number, block)
             numbers = self._at_once(block)
-            numbers = self._by_rows(number, block) if numbers is None else numbers
-            columns[:, self.count : self.count + len(numbers)] = numbers.T
-            self.count += len(numbers)
+            if numbers is None:
+                if known:
+                    # Only a block that is not read at once can show another sign than the known one.
+                    self.decimal.look(number, block)
+                numbers = self._by_rows(number, block)
+            end = self.count + len(numbers)
+            allowance.check(8 * end * self.width, "the table")
+            for column, values in zip(columns, numbers.T, strict=True):
+                if end > column.size:
+                    # Memory grows in its place.
+                    column.resize(int(_GROWTH * end), refcheck=False)
+                column[self.count : end] = values
+            self.count = end
+        self.decimal.demand()
+        allowance.take(self.count * self.width, "the table")
         if not self.count:
             raise FileFormatError("a header but no rows; export the measurement again")
-        # The record shares these columns.
-        columns.flags.writeable = False
         if self.headers:
             starts = ", ".join(map(str, [self.layout.first + 1, *self.headers]))
             raise FileFormatError(
                 f"{len(self.headers) + 1} tables, which begin at the rows {starts}: these are several records",
                 hint="save each in a file of its own, and give all of them as records of one actuator",
             )
-        return [self._column(place, columns[place, : self.count]) for place in range(self.width)]
+        for column in columns:
+            column.resize(self.count, refcheck=False)
+            # The record shares it.
+            column.flags.writeable = False
+        return [self._column(place, column) for place, column in enumerate(columns)]
 
     def _at_once(self, lines: list[str]) -> Array | None:
         """Read a block whose lines are all rows of numbers; return None for other blocks."""
-        if self.clocks or self.hole or self.decimal in (self.delimiter or ""):
+        if self.clocks or self.hole or self.decimal.sign in (self.delimiter or ""):
             return None
         # A point beside decimal commas must not be read as one.
-        rows = [line.replace(".", "'").replace(",", ".") for line in lines] if self.decimal == "," else lines
+        rows = [line.replace(".", "'").replace(",", ".") for line in lines] if self.decimal.sign == "," else lines
         try:
             data = np.loadtxt(rows, delimiter=self.delimiter, comments=None, ndmin=2)
         except ValueError:
@@ -154,9 +168,9 @@ class _Table:
         is_clock = place in self.clocks
         try:
             for cell in cells if place not in self.faults else ():
-                values.append(moment(cell) if is_clock else number_in(cell, self.decimal))
+                values.append(moment(cell) if is_clock else number_in(cell, self.decimal.sign))
         except ValueError:
-            kind = "timestamp" if is_clock else "number" if self.decimal == "." else "number with a decimal comma"
+            kind = "timestamp" if is_clock else "number" if self.decimal.sign == "." else "number with a decimal comma"
             kind += ", nor a timestamp as 2026-03-04T12:00:00" * (not is_clock and cell.count(":") == 2)
             line = numbers[cells.index(cell)]
             self.faults[place] = f"row {line} holds '{shortened(cell)}', which is no {kind}; correct it"
