@@ -247,6 +247,21 @@ def test_fringes_are_found_and_noise_is_not_taken_for_fringes(count):
         record(V, noisy(0 * V, 1e-6)).check_usable()
 
 
+@pytest.mark.parametrize(("volts", "micrometres", "refused"), [(1, 190, False), (1, 1e3, True), (20, 1e3, False)])
+def test_a_stroke_that_no_stage_has_with_such_voltages_is_a_wrong_unit(volts, micrometres, refused):
+    """As nm that are read as um; a spike is none."""
+    y = noisy(Y * micrometres)
+    y[300] = 0.05
+    found = record(V * volts, y)
+    if not refused:
+        found.check_usable()
+        return
+    with pytest.raises(RecordError) as caught:
+        found.check_usable()
+    assert (caught.value.argument, caught.value.need) == ("displacement", "at most 2 mm")
+    assert "unit" in caught.value.hint
+
+
 def test_overload_readings_are_left_out_before_the_loops_are_judged():
     y = noisy(Y)
     y[[300, 301, 302]], y[700] = 9999.999e-6, -1e-3

@@ -108,6 +108,7 @@ NO_COLUMNS = {
     "decimal=;": "decimal",
     "hold=long": "hold",
     "voltage=a*GAIN": "columns",
+    "displacement=a*fringe GAIN nm": "columns",
     "voltage=a*0": "columns",
     "voltage=a*1e999": "columns",
     "displacement=a*fringe 3 V": "columns",
@@ -144,7 +145,7 @@ def test_a_printed_text_of_columns_is_read_again(columns, tmp_path):
 
 
 # Header, columns, and what is proposed: no text, or its entries.
-VOLTS, LOW = V, V / 100
+VOLTS, LOW, FRINGES = V, V / 100, 1 + np.cos(2 * np.pi * UM / 0.3164)
 PROPOSED = {
     "other words": ("Zeit,Ansteuerung,Auslenkung", (T, V, UM), "Zeit:s?, Ansteuerung:V?, Auslenkung:um?"),
     "nanometres": ("time_s,voltage_V,y", (T, V, 1e3 * UM), "-, -, y:nm?"),
@@ -163,6 +164,9 @@ PROPOSED = {
     "the measured one": ("time_s,voltage_V,Soll,Ist", (T, V, UM * 1.01, UM), "-, -, Ist:um?"),
     "not the command": ("time_s,voltage_V,target um,gauge um", (T, V, UM, UM), "-, -, gauge um:um?"),
     "names that stand twice": ("time_s,a,a", (T, V, UM), "-, 2:V?, 3:um?"),
+    "fringes": ("time_s,voltage_V,photodiode", (T, V, FRINGES), "-, -, photodiode?*fringe GAIN nm"),
+    "fringes in volts": ("time_s,drive,PD (V)", (T, V, FRINGES), "-, drive:V?, PD (V)?*fringe GAIN nm"),
+    "fringes of no unit": ("time_s,voltage_V,position", (T, V, FRINGES), "-, -, position?*fringe GAIN nm"),
 }
 
 

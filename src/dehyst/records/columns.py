@@ -23,7 +23,7 @@ from dehyst.records.formats.column import GAIN, GUESS, QUANTITIES
 RATE = "HZ"
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _FACTOR = re.compile(rf"({_NUMBER}|{GAIN})\s*(?:([^\s/*]+)\s*/\s*([^\s/*]+))?")
-_PERIODIC = re.compile(rf"(fringe|grating)\s+({_NUMBER})\s*([^\W\d]*)", re.IGNORECASE)
+_PERIODIC = re.compile(rf"(fringe|grating)\s+({_NUMBER}|{GAIN})\s*([^\W\d]*)", re.IGNORECASE)
 HOLDS = ("line", "sample")
 _COLUMNS = ("time", "voltage", "displacement", "temperature")
 # Keys that are allowed for the file of a record, of a voltage, and of a path.

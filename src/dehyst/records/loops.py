@@ -193,9 +193,8 @@ def _rounded(values: Array) -> float:
     return _SIX_DIGITS * span + (0.5 * digit * (1 + 3 / sqrt(values.size)) if rounded else 0.0)
 
 
-def fringes(record: Record) -> str:
-    """Return the error of a displacement that turns many times in a stroke of the voltage; or empty."""
-    v, y = record.voltage, record.displacement
+def fringes(v: Array, y: Array) -> str:
+    """Return the error of a displacement (n,) that turns many times in a stroke of the voltage (n,); or empty."""
     turns = turns_of(v)
     if turns.size < 2 or float(np.ptp(y)) < LEAST_STROKE:
         return ""
@@ -222,7 +221,7 @@ def fringes(record: Record) -> str:
 def remarks(record: Record) -> Iterator[str]:
     """Yield sentences on the origin of a clean record, by its loops."""
     turns = turns_of(record.voltage)
-    if turns.size < 2 or record.stroke < LEAST_STROKE or fringes(record):
+    if turns.size < 2 or record.stroke < LEAST_STROKE or fringes(record.voltage, record.displacement):
         return
     if sense(record.voltage, record.displacement, record.cycles()) >= 0 and (early := early_turns(record)):
         words = _shift(record, early)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dehyst._errors import RecordError
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.records import loops
@@ -96,10 +97,25 @@ def other_unit(record: Record) -> str:
     return words or (impossible("displacement", record.stroke) if record.stroke else "")
 
 
+def demand_stroke(record: Record) -> None:
+    """Raise `RecordError` if the stroke is far above that of a stage with such voltages: its unit is wrong."""
+    driven, moved = _spans(record)
+    (_, volts), (_, metres) = QUANTITIES["voltage"].range, QUANTITIES["displacement"].range
+    if moved > metres and driven <= volts and not other_unit(record):
+        need, hint = f"at most {1e3 * metres:g} mm", "check its unit and scale first: is it in nm, and read as um?"
+        got = f"{1e3 * moved:.4g} mm for {driven:.4g} V"
+        raise RecordError(argument="displacement", got=got, need=need, hint=hint)
+
+
+def _spans(record: Record) -> tuple[float, float]:
+    """Return the range of the voltage [V] and of the displacement [m], without the readings of an overload."""
+    driven, moved = (float(np.ptp(np.quantile(v, (0.05, 0.95)))) for v in (record.voltage, record.displacement))
+    return driven, moved
+
+
 def guesses(record: Record) -> tuple[str, ...]:
     """Return what to verify of a record: guesses made when it was read, and units in which no stage moves."""
-    # Quantiles leave out the readings of an overload.
-    driven, moved = (float(np.ptp(np.quantile(v, (0.05, 0.95)))) for v in (record.voltage, record.displacement))
+    driven, moved = _spans(record)
     doubts = []
     for quantity, span, unit in (("voltage", driven, "V"), ("displacement", moved, "m")):
         least, most = QUANTITIES[quantity].range
@@ -172,7 +188,7 @@ def _reasons(record: Record) -> Iterator[str]:
     if high - low < max(1e-9, 1e-6 * max(abs(low), abs(high))):
         yield f"the voltage is constant at {low:.6g} V; drive the actuator up and down"
         return
-    if record.measured is None and (words := loops.fringes(record)):
+    if record.measured is None and (words := loops.fringes(record.voltage, record.displacement)):
         yield words
     least = max(noise_span(record.displacement), 1e-12 * float(np.abs(record.displacement).max()), loops.LEAST_STROKE)
     if record.stroke <= least:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import ModelError, RecordError
+from dehyst._errors import ModelError, RecordError, of_part
 from dehyst._text import counted, escaped
 from dehyst._types import Array, Mask
 from dehyst._units import SI, in_si, per_metre
@@ -371,11 +371,16 @@ class Record(Plotted):
         """Raise `RecordError` if no hysteresis loop can be identified from the record.
 
         That is so with fewer than 20 samples, no full cycle, constant voltage or displacement, an echo of the voltage,
-        fringes, a stroke over 0.1 m, an inverted or clipped sensor, a butterfly loop, swapped, reversed or sorted
+        fringes, a stroke over 2 mm, an inverted or clipped sensor, a butterfly loop, swapped, reversed or sorted
         columns, or displacements that dehyst computed.
         """
+        record = of_one_axis(self)
+        try:
+            quality.demand_stroke(record)
+        except RecordError as error:
+            raise of_part(error, f"record '{self.name}'") from None
         computed = "its displacements are computed: play its voltages, and give a file of what the sensor reads"
-        for words in (*[computed] * ("computed" in self.meta), *quality.reasons_against(of_one_axis(self))):
+        for words in (*[computed] * ("computed" in self.meta), *quality.reasons_against(record)):
             raise self._error(words)
 
 

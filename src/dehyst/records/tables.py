@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -26,6 +26,7 @@ from dehyst.records.formats.column import (
     plausible_unit,
     shortened,
 )
+from dehyst.records.loops import fringes
 
 _UNNAMED = (
     "its columns have no names; save three arrays with the names time_s, voltage_V and displacement_um, write such a "
@@ -33,8 +34,9 @@ _UNNAMED = (
 )
 # Names of the axes of a stage: with several of them in a file, "y" is not the displacement.
 _AXES = {"x", "y", "z"}
-# Largest number of columns of a file that are compared with one another; times that show the usual step.
-_MOST, _STEPS = 12, 10_000
+# Largest number of columns of a file that are compared with one another; times that show the usual step; least number
+# of samples that show fringes.
+_MOST, _STEPS, _FEWEST = 12, 10_000, 20
 
 
 class ColumnError(FileFormatError):
@@ -71,7 +73,7 @@ def notes_on(proposal: str) -> list[str]:
     notes = {
         RATE: f"Replace {RATE} by the number of samples a second.",
         GAIN: f"Replace {GAIN} by the number in the data sheet: the volts at the actuator, or the displacement, "
-        "for one unit of the column; 1 if the column holds the actuator's voltage itself.",
+        "for one unit of the column, or for one fringe or line; 1 if the column holds the actuator's voltage itself.",
         GUESS: f"A {GUESS} marks a guess; leave it out once you have verified the column and its unit.",
     }
     return ["Check units and scales.", *(note for mark, note in notes.items() if mark in proposal)]
@@ -258,27 +260,29 @@ def chosen(table: Table, columns: Columns, quantities: Sequence[str]) -> dict[st
             problems.append(error)
     if not problems:
         return found
-    proposal = _proposed(table, columns, problems, [column.column for column in found.values()])
+    proposal = _proposed(table, columns, problems, {quantity: part.column for quantity, part in found.items()})
     faults = "; ".join(dict.fromkeys(error.problem for error in problems))
     hints = list(dict.fromkeys(error.hint for error in problems))
     hint = hints[0] if len(hints) == 1 else f"the file holds {listed(table.names)}"
     raise ColumnsError(f"{table.source}: {faults}{f'; {hint}' if hint else ''}", proposal, problems)
 
 
-def _proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], used: Sequence[Column]) -> str:
+def _proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], used: Mapping[str, Column]) -> str:
     """Return the text of columns that may be right in the place of those with problems; empty if there are none."""
     named = {error.quantity: error.column for error in problems if error.column and not error.column.fault}
     wanted = [error.quantity for error in problems if error.quantity not in named]
-    assigned = named | _assigned(table, wanted, [*used, *named.values()])
+    assigned = named | _assigned(table, wanted, [*used.values(), *named.values()])
+    drive = assigned.get("voltage") or used.get("voltage")
     entries = {}
     for quantity in (error.quantity for error in problems if error.quantity in assigned):
         given = Entry.of(getattr(columns, quantity) or "")
         if "*" in given.name:
             # The factor that was given is not understood.
             return ""
-        if text := _entry(
-            table, quantity, assigned[quantity], given.scale, guessed=quantity not in named or given.guess
-        ):
+        column, guessed = assigned[quantity], quantity not in named or given.guess
+        if quantity == "displacement" and drive is not None and not given.scale and _repeats(drive.data, column.data):
+            entries[quantity] = f"{table.label(column)}{GUESS}*fringe {GAIN} nm"
+        elif text := _entry(table, quantity, column, given.scale, guessed=guessed):
             entries[quantity] = text
     # A rate would count the rows with a fault as samples.
     faulty = any(error.column for error in problems if error.quantity == "time")
@@ -302,6 +306,12 @@ def _assigned(table: Table, wanted: Sequence[str], used: Sequence[Column]) -> di
         if quantity not in found and column not in found.values():
             found[quantity] = column
     return found if {*wanted} - {"time"} <= found.keys() else {}
+
+
+def _repeats(voltage: Array, signal: Array) -> bool:
+    """Return whether a signal moves up and down many times in a stroke of the voltage: it is to be counted."""
+    known = signal.size == voltage.size and bool(np.isfinite([signal, voltage]).all())
+    return known and signal.size >= _FEWEST and bool(fringes(voltage, signal))
 
 
 def _unlikeliness(column: Column, quantity: str) -> int:
