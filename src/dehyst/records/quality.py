@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dehyst._errors import RecordError
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst.records import loops
@@ -97,14 +96,15 @@ def other_unit(record: Record) -> str:
     return words or (impossible("displacement", record.stroke) if record.stroke else "")
 
 
-def demand_stroke(record: Record) -> None:
-    """Raise `RecordError` if the stroke is far above that of a stage with such voltages: its unit is wrong."""
+def long_stroke(record: Record) -> dict[str, str]:
+    """Return the fields of an error if no stage has such a stroke with such voltages: its unit is wrong; or none."""
     driven, moved = _spans(record)
     (_, volts), (_, metres) = QUANTITIES["voltage"].range, QUANTITIES["displacement"].range
-    if moved > metres and driven <= volts and not other_unit(record):
-        need, hint = f"at most {1e3 * metres:g} mm", "check its unit and scale first: is it in nm, and read as um?"
-        got = f"{1e3 * moved:.4g} mm for {driven:.4g} V"
-        raise RecordError(argument="displacement", got=got, need=need, hint=hint)
+    if moved <= metres or driven > volts or other_unit(record):
+        return {}
+    got, need = f"{1e3 * moved:.4g} mm for {driven:.4g} V", f"at most {1e3 * metres:g} mm"
+    hint = "check its unit and scale first: is it in nm, and read as um?"
+    return {"argument": "displacement", "got": got, "need": need, "hint": hint}
 
 
 def _spans(record: Record) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from dehyst._errors import ModelError, RecordError, of_part
+from dehyst._errors import ModelError, RecordError
 from dehyst._text import counted, escaped
 from dehyst._types import Array, Mask
 from dehyst._units import SI, in_si, per_metre
@@ -375,10 +375,8 @@ class Record(Plotted):
         columns, or displacements that dehyst computed.
         """
         record = of_one_axis(self)
-        try:
-            quality.demand_stroke(record)
-        except RecordError as error:
-            raise of_part(error, f"record '{self.name}'") from None
+        if fields := quality.long_stroke(record):
+            raise RecordError(f"record '{self.name}'", **fields)
         computed = "its displacements are computed: play its voltages, and give a file of what the sensor reads"
         for words in (*[computed] * ("computed" in self.meta), *quality.reasons_against(record)):
             raise self._error(words)

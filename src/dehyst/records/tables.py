@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -34,9 +34,8 @@ _UNNAMED = (
 )
 # Names of the axes of a stage: with several of them in a file, "y" is not the displacement.
 _AXES = {"x", "y", "z"}
-# Largest number of columns of a file that are compared with one another; times that show the usual step; least number
-# of samples that show fringes.
-_MOST, _STEPS, _FEWEST = 12, 10_000, 20
+# Largest number of columns of a file that are compared with one another; times that show the usual step.
+_MOST, _STEPS = 12, 10_000
 
 
 class ColumnError(FileFormatError):
@@ -280,7 +279,8 @@ def _proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], u
             # The factor that was given is not understood.
             return ""
         column, guessed = assigned[quantity], quantity not in named or given.guess
-        if quantity == "displacement" and drive is not None and not given.scale and _repeats(drive.data, column.data):
+        pair = (drive.data, column.data) if drive and quantity == "displacement" and not given.scale else ()
+        if pair and pair[0].size == pair[1].size and fringes(*pair):
             entries[quantity] = f"{table.label(column)}{GUESS}*fringe {GAIN} nm"
         elif text := _entry(table, quantity, column, given.scale, guessed=guessed):
             entries[quantity] = text
@@ -306,12 +306,6 @@ def _assigned(table: Table, wanted: Sequence[str], used: Sequence[Column]) -> di
         if quantity not in found and column not in found.values():
             found[quantity] = column
     return found if {*wanted} - {"time"} <= found.keys() else {}
-
-
-def _repeats(voltage: Array, signal: Array) -> bool:
-    """Return whether a signal moves up and down many times in a stroke of the voltage: it is to be counted."""
-    known = signal.size == voltage.size and bool(np.isfinite([signal, voltage]).all())
-    return known and signal.size >= _FEWEST and bool(fringes(voltage, signal))
 
 
 def _unlikeliness(column: Column, quantity: str) -> int:
@@ -357,34 +351,34 @@ _DAY = 86_400
 
 
 class _Timed(NamedTuple):
-    """A file: its name, its columns without the time, the column of the time, and the seconds of its samples."""
+    """A file that has a time: its name, its other columns, and its time."""
 
     source: str
     columns: tuple[Column, ...]
-    clock: Column
-    seconds: Array
+    clock: Selected
 
     @classmethod
     def of(cls, table: Table, columns: Columns) -> _Timed | None:
         """Return a file with its time; None if it has no time."""
-        for name in (columns.time, None):
-            if table.fitting("time", name):
-                clock = table.select("time", name)
-                rest = tuple(column for column in table.columns if column is not clock.column)
-                unit = clock.entry.unit or clock.column.parts[1]
-                return cls(table.source, rest, replace(clock.column, unit=unit), clock.values)
-        return None
+        name = next((name for name in (columns.time, None) if table.fitting("time", name)), "")
+        if name == "":
+            return None
+        clock = table.select("time", name)
+        return cls(table.source, tuple(column for column in table.columns if column is not clock.column), clock)
 
-    def aligned(self, times: Array) -> list[Column]:
-        """Return the columns at other times [s]; a column of another length than its time has a fault."""
-        found = []
+    @property
+    def seconds(self) -> Array:
+        """The times of its samples [s]."""
+        return self.clock.values
+
+    def aligned(self, times: Array) -> Iterator[Column]:
+        """Yield the columns at other times [s]; a column of another length than its time has a fault."""
         for column in self.columns:
             if column.data.size == self.seconds.size:
-                found.append(replace(column, data=np.interp(times, self.seconds, column.data)))
+                yield replace(column, data=np.interp(times, self.seconds, column.data))
             else:
                 words = column.fault or "it is not as long as its time, which joining needs"
-                found.append(replace(column, data=np.empty(0), fault=words))
-        return found
+                yield replace(column, data=np.empty(0), fault=words)
 
 
 def joined(table: Table, other: Table, columns: Columns) -> Table:
@@ -406,20 +400,22 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
     if columns.rate is not None and table.rows == other.rows:
         got = f"{columns.rate:g} Hz, but {other.source} has as many samples in {float(np.ptp(second.seconds)):.6g} s"
         raise FileFormatError(argument="rate", got=got, need="no rate: the time of that file holds for both")
-    second = second._replace(columns=_behind(stem, second.columns), seconds=second.seconds + _offset(first, second))
     for file in (first, second):
         if not np.all(np.diff(file.seconds) > 0):
             need = f"one that rises; give rate={RATE} in its place, with this file as the first one"
             raise FileFormatError(argument="join", got=f"a time of {file.source} that falls", need=need)
-    measured = [
+    late = second.clock._replace(values=second.seconds + _offset(first, second))
+    second = second._replace(columns=_behind(stem, second.columns), clock=late)
+    there, here = (
         replace(table, columns=own).fitting("displacement", columns.displacement)
         for own in (table.columns, second.columns)
-    ]
-    kept, moved = (second, first) if measured[1] and not measured[0] else (first, second)
+    )
+    kept, moved = (second, first) if here and not there else (first, second)
     times, remarks = _common(kept, moved)
-    clock = replace(first.clock, data=times / FACTORS["time"][first.clock.unit])
-    aligned = [*kept.aligned(times), *moved.aligned(times)]
-    return replace(table, columns=(clock, *aligned), remarks=(*table.remarks, *remarks))
+    clock = Column(first.clock.column.name, times, "s", began=first.clock.column.began)
+    return replace(
+        table, columns=(clock, *kept.aligned(times), *moved.aligned(times)), remarks=(*table.remarks, *remarks)
+    )
 
 
 def _behind(stem: str, columns: Sequence[Column]) -> tuple[Column, ...]:
@@ -436,7 +432,7 @@ def _same_times(first: _Timed, second: _Timed) -> bool:
 
 def _offset(first: _Timed, second: _Timed) -> float:
     """Return the time [s] from the zero of the first file's clock to that of the second's."""
-    begin, later = first.clock.began, second.clock.began
+    begin, later = first.clock.column.began, second.clock.column.began
     origins = [f"times from {moment.origin}" if moment else "seconds" for moment in (begin, later)]
     if origins[0] != origins[1]:
         raise FileFormatError(

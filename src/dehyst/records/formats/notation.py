@@ -127,7 +127,7 @@ class Moment(NamedTuple):
 
 def moment(cell: str) -> Moment:
     """Return a timestamp: year, month, day and the time of day, or this alone; raise ValueError for any other text."""
-    match = _STAMP.fullmatch(cell.strip()) if len(cell) <= _LONGEST else None
+    match = is_moment(cell)
     if match is None:
         raise ValueError(cell)
     day, _, hours, minutes, whole, fraction, zone, ahead, more = match.groups()
@@ -138,9 +138,9 @@ def moment(cell: str) -> Moment:
     return Moment(origin, 1_000_000_000 * seconds + int(f"{fraction or '':0<9.9}"))
 
 
-def is_moment(cell: str) -> bool:
-    """Return whether a cell is written as a timestamp."""
-    return len(cell) <= _LONGEST and _STAMP.fullmatch(cell.strip()) is not None
+def is_moment(cell: str) -> re.Match[str] | None:
+    """Return the parts of a cell that is written as a timestamp, see `moment`; None for any other cell."""
+    return _STAMP.fullmatch(cell.strip()) if len(cell) <= _LONGEST else None
 
 
 def clock_of(moments: list[Moment]) -> Array:

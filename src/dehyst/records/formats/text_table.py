@@ -116,7 +116,7 @@ class _Table:
                     self.decimal.look(number, block)
                 numbers = self._by_rows(number, block)
             end = self.count + len(numbers)
-            allowance.check(8 * end * self.width, "the table")
+            allowance.take(numbers.size, "the next part of its rows")
             for column, values in zip(columns, numbers.T, strict=True):
                 if end > column.size:
                     # Memory grows in its place.
@@ -124,7 +124,6 @@ class _Table:
                 column[self.count : end] = values
             self.count = end
         self.decimal.demand()
-        allowance.take(self.count * self.width, "the table")
         if not self.count:
             raise FileFormatError("a header but no rows; export the measurement again")
         if self.headers:
