@@ -412,7 +412,8 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
     )
     kept, moved = (second, first) if here and not there else (first, second)
     times, remarks = _common(kept, moved)
-    clock = Column(first.clock.column.name, times, "s", began=first.clock.column.began)
+    unit = first.clock.entry.unit or first.clock.column.parts[1]
+    clock = replace(first.clock.column, data=times / FACTORS["time"][unit], unit=unit)
     return replace(
         table, columns=(clock, *kept.aligned(times), *moved.aligned(times)), remarks=(*table.remarks, *remarks)
     )
