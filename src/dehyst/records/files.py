@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dehyst._errors import FileFormatError, RecordError
+from dehyst._errors import FileFormatError, MissingExtraError, RecordError
 from dehyst._io import COMPUTED, PathLike, packed, path_of, reading, write_atomically
 from dehyst._text import counted, escaped
 from dehyst._types import Array
@@ -23,7 +24,7 @@ from dehyst.records.columns import Columns
 from dehyst.records.events import record_of_periodic
 from dehyst.records.formats.column import MOST, TEXT, Allowance, Column, listed
 from dehyst.records.formats.containers import LINE, MEMBER
-from dehyst.records.formats.loaders import LOADERS, load
+from dehyst.records.formats.loaders import LOADERS
 from dehyst.records.record import Channel, Record, columns_of
 from dehyst.records.tables import ColumnsError, Selected, Table, chosen, joined
 
@@ -68,7 +69,10 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
     axes = columns.of_axes() if columns.axes else {"": columns}
     parts = {axis: _selected(table, own, axis) for axis, own in axes.items()}
     if columns.temperature is not None:
-        table = _with_temperature(table, columns.temperature)
+        known = table.select("temperature", columns.temperature)
+        named = Column("temperature_C", known.values, kept=True, guessed=known.guess)
+        rest = [column for column in table.columns if column is not known.column and column.role != "temperature"]
+        table = replace(table, columns=(*rest, named))
     used = {
         f"{quantity} of {axis}" if axis and quantity != "time" else quantity: part
         for axis, own in parts.items()
@@ -165,14 +169,6 @@ def _selected(table: Table, columns: Columns, axis: str) -> dict[str, Selected]:
         raise FileFormatError(f"axis {axis}: {error.problems[0].message}", hint=hint, change=("columns",)) from error
 
 
-def _with_temperature(table: Table, wanted: str) -> Table:
-    """Return a table whose only temperature is the wanted column; raise `FileFormatError` if there is none."""
-    known = table.select("temperature", wanted)
-    named = Column("temperature_C", known.values, kept=True, guessed=known.guess)
-    rest = [column for column in table.columns if column is not known.column and column.role != "temperature"]
-    return replace(table, columns=(*rest, named))
-
-
 def table_of(path: PathLike, columns: Columns) -> Table:
     """Read the table of a file; apply the rate and join the second file that `columns` state."""
     path = path_of(path)
@@ -190,16 +186,26 @@ def table_of(path: PathLike, columns: Columns) -> Table:
 def read_table(path: PathLike, columns: Columns | None = None) -> Table:
     """Read all numeric columns of a file, by the decimal sign of `columns`; errors as in `read`."""
     path, columns = path_of(path), columns or Columns()
-    if path.suffix.lower() not in LOADERS and path.is_file():
+    suffix = path.suffix.lower()
+    if suffix not in LOADERS and path.is_file():
         known = f"unknown kind of file '{path.suffix}'; save it as one that dehyst reads: {' '.join(LOADERS)}"
         raise FileFormatError(f"{path}: {known}")
     with reading(path, path.suffix, MOST) as stream:
-        if columns.decimal is not None and path.suffix.lower() not in TEXT:
+        if columns.decimal is not None and suffix not in TEXT:
             got = f"{columns.decimal} for a {path.suffix} file, whose numbers are no text"
             raise FileFormatError(argument="decimal", got=got, need="none")
         digest = hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
         stream.seek(0)
-        found = load(path, stream, Allowance(MOST, path.stem, _SIGNS.get(columns.decimal or "")))
+        try:
+            with warnings.catch_warnings():
+                # A library warns of styles of a sheet and the like, which do not matter for the columns.
+                warnings.simplefilter("ignore")
+                found = LOADERS[suffix](stream, Allowance(MOST, path.stem, _SIGNS.get(columns.decimal or "")))
+        except FileFormatError as error:
+            raise type(error)(**vars(error) | {"message": f"{path}: {error.message}"}) from error
+        except ImportError as error:
+            package = (error.name or "").partition(".")[0]
+            raise MissingExtraError.of(package, "files", f"Reading {suffix} files") from error
     if not found:
         raise FileFormatError(f"{path}: no numeric columns found; store time, voltage and displacement as 1-D arrays")
     return Table(path.name, digest, tuple(found))

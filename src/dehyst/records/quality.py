@@ -41,13 +41,10 @@ def fault_of(values: Array, column: str, unit: str) -> str:
             f"{column} holds {counted(len(bad), 'value')} not finite, the first is {column}[{bad[0]}] = "
             f"{values[bad[0]]} {unit}; fill them in from their neighbours, or record them anew"
         )
-    if (largest := max(-values.min(), values.max())) <= LARGEST:
+    if max(-values.min(), values.max()) <= LARGEST:
         return ""
-    i = int(np.argmax(np.abs(values)))
-    return (
-        f"{column}[{i}] = {values[i]:.6g} {unit} is no {column}; {largest / LARGEST:.3g} times the largest number that "
-        f"is allowed ({LARGEST:g}): correct that value, or check the column's unit"
-    )
+    i, need = int(np.argmax(np.abs(values))), f"need at most {LARGEST:g}"
+    return f"{column}[{i}] = {values[i]:.6g} {unit} is no {column}, {need}: correct it, or check the column's unit"
 
 
 def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
@@ -98,18 +95,19 @@ def other_unit(record: Record) -> str:
 
 def long_stroke(record: Record) -> dict[str, str]:
     """Return the fields of an error if no stage has such a stroke with such voltages: its unit is wrong; or none."""
-    driven, moved = _spans(record)
-    (_, volts), (_, metres) = QUANTITIES["voltage"].range, QUANTITIES["displacement"].range
-    if moved <= metres or driven > volts or other_unit(record):
+    (driven, moved), most = _spans(record), QUANTITIES["displacement"].range[1]
+    if moved <= most or driven > QUANTITIES["voltage"].range[1] or other_unit(record):
         return {}
-    got, need = f"{1e3 * moved:.4g} mm for {driven:.4g} V", f"at most {1e3 * metres:g} mm"
-    hint = "check its unit and scale first: is it in nm, and read as um?"
-    return {"argument": "displacement", "got": got, "need": need, "hint": hint}
+    got, hint = (
+        f"{1e3 * moved:.4g} mm for {driven:.4g} V",
+        "check its unit and scale first: is it in nm, and read as um?",
+    )
+    return {"argument": "displacement", "got": got, "need": f"at most {1e3 * most:g} mm", "hint": hint}
 
 
 def _spans(record: Record) -> tuple[float, float]:
     """Return the range of the voltage [V] and of the displacement [m], without the readings of an overload."""
-    driven, moved = (float(np.ptp(np.quantile(v, (0.05, 0.95)))) for v in (record.voltage, record.displacement))
+    driven, moved = np.ptp(np.quantile([record.voltage, record.displacement], (0.05, 0.95), axis=1), axis=0).tolist()
     return driven, moved
 
 
@@ -153,10 +151,8 @@ def _of_samples(whole: Record, record: Record) -> Iterator[str]:
     points = float(np.median([c.stop - c.start - 1 for c in cycles])) if cycles else np.inf
     if points < 50:
         yield f"Only {points:.0f} samples a cycle; 50 or more show the loop's corners."
-    signals = [("voltage", "V")]
-    if record.measured is None:
-        signals.append(("displacement", "m"))
-    else:
+    signals = [("voltage", "V"), ("displacement", "m")][: 2 if record.measured is None else 1]
+    if record.measured is not None:
         events = int(np.count_nonzero(record.measured))
         yield f"The displacement is known at {counted(events, 'event')} of {len(record)} samples; only these count."
     for column, unit in signals:
@@ -175,9 +171,8 @@ def _of_samples(whole: Record, record: Record) -> Iterator[str]:
 def reasons_against(record: Record) -> Iterator[str]:
     """Yield reasons why no hysteresis loop can be identified from a record without glitches and spikes."""
     reasons = list(_reasons(record))
-    if reasons and len(record) >= _FEWEST and (clean := cleaned(record).record) is not record:
-        reasons = list(_reasons(clean))
-    yield from reasons
+    clean = cleaned(record).record if reasons and len(record) >= _FEWEST else record
+    yield from reasons if clean is record else _reasons(clean)
 
 
 def _reasons(record: Record) -> Iterator[str]:

@@ -20,6 +20,7 @@ from dehyst._validation import DEFAULT_AXES, axis_names, choice, keep, plain
 from dehyst._views.lines import span_of
 from dehyst._views.pictures import Plotted
 from dehyst.records import events, quality, signals
+from dehyst.records.columns import HOLDS
 from dehyst.records.formats.column import Column, impossible
 
 if TYPE_CHECKING:
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 Span: TypeAlias = "slice[int, int, None]"
 
 _COLUMNS = {"time": "s", "voltage": "V", "displacement": "m"}
-_HOLDS = ("line", "sample")
 # Fewest numbers in a displacement that is blank otherwise.
 _FEWEST_NUMBERS = 20
 
@@ -149,7 +149,7 @@ class Record(Plotted):
             raise self._error(f"columns differ in length ({got}); give one value per sample in each")
         if len(self) < 2:
             raise self._error(f"{counted(len(self), 'sample')}, at least 2 are needed; check the range of samples")
-        choice(self.hold, "hold", _HOLDS, error=RecordError)
+        choice(self.hold, "hold", HOLDS, error=RecordError)
         keep(self, measured=self._measured())
         arrays["displacement"] = self.displacement
         for column, unit in _COLUMNS.items():

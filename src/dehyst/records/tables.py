@@ -120,7 +120,7 @@ class Table:
         """Return the table with the index over a rate [Hz] as its time; raise if a time that rises contradicts it."""
         clock = Column("time", np.arange(float(self.rows)) / rate, "s")
         others = [column for column in self.columns if "time" not in column.quantities]
-        left = tuple(column.name for column in self.columns if "time" in column.quantities)
+        left = tuple(name for name in self.names if name not in {column.name for column in others})
         steps, away = np.zeros(0), 0.0
         with suppress(FileFormatError):
             time = self.column("time")
@@ -185,18 +185,20 @@ class Table:
         numbers = " or ".join(str(self.columns.index(c) + 1) for c in fits) if len({c.name for c in fits}) == 1 else ""
         way = f"by its number, {quantity}={numbers}" if numbers else f"with {quantity}=NAME"
         select = f"Select one {way}"
-        # Columns that fit have such names already.
-        example = QUANTITIES[quantity].example
-        hint = f" A name like '{example}' is found by itself." if not wanted and not fits else ""
+        hint = (
+            f" A name like '{quantity}_{QUANTITIES[quantity].units[0]}' is found by itself."
+            if not wanted and not fits
+            else ""
+        )
         rate = " Without one, give rate=HZ." if quantity == "time" and not fits else ""
         known = f"the file holds {listed(self.names)}. {select}.{hint}{rate}"
         return ColumnError(self.source, quantity, f"{count}{request}", known)
 
     def _fits(self, quantity: str, wanted: str | None) -> tuple[Entry, list[Column]]:
         """Return how a column is selected, and the columns that fit; the name of a column is not split."""
-        if wanted is not None and (own := self._named(wanted)):
+        if wanted and (own := self._named(wanted)):
             return Entry(wanted), own
-        entry = Entry("") if wanted is None else Entry.of(wanted)
+        entry = Entry.of(wanted or "")
         return entry, self._named(entry.name) if entry.name else self._candidates(quantity)
 
     def _candidates(self, quantity: str) -> list[Column]:
@@ -243,7 +245,7 @@ def _fault(quantity: str, column: Column, entry: Entry) -> tuple[str, str] | Non
     if unit and quantity != "time" and quantity_of(unit) in ("", "voltage"):
         way = scaled
     elif not unit:
-        way = f"name it like '{QUANTITIES[quantity].example}', or give its unit, as {quantity}={name}:UNIT"
+        way = f"name it like '{quantity}_{QUANTITIES[quantity].units[0]}', or give its unit, as {quantity}={name}:UNIT"
     has = f" has the unit '{shortened(unit)}', which is no {quantity}" if unit else " has no unit"
     return has, f"known are {', '.join(known)}; {way}"
 
@@ -351,7 +353,7 @@ _DAY = 86_400
 
 
 class _Timed(NamedTuple):
-    """A file that has a time: its name, its other columns, and its time."""
+    """A file that has a time: its name, its other columns, and its time [s]."""
 
     source: str
     columns: tuple[Column, ...]
@@ -366,16 +368,11 @@ class _Timed(NamedTuple):
         clock = table.select("time", name)
         return cls(table.source, tuple(column for column in table.columns if column is not clock.column), clock)
 
-    @property
-    def seconds(self) -> Array:
-        """The times of its samples [s]."""
-        return self.clock.values
-
     def aligned(self, times: Array) -> Iterator[Column]:
         """Yield the columns at other times [s]; a column of another length than its time has a fault."""
         for column in self.columns:
-            if column.data.size == self.seconds.size:
-                yield replace(column, data=np.interp(times, self.seconds, column.data))
+            if column.data.size == self.clock.values.size:
+                yield replace(column, data=np.interp(times, self.clock.values, column.data))
             else:
                 words = column.fault or "it is not as long as its time, which joining needs"
                 yield replace(column, data=np.empty(0), fault=words)
@@ -398,13 +395,15 @@ def joined(table: Table, other: Table, columns: Columns) -> Table:
         added = second.columns if first and second else other.columns
         return replace(table, columns=(*table.columns, *_behind(stem, added)))
     if columns.rate is not None and table.rows == other.rows:
-        got = f"{columns.rate:g} Hz, but {other.source} has as many samples in {float(np.ptp(second.seconds)):.6g} s"
+        got = (
+            f"{columns.rate:g} Hz, but {other.source} has as many samples in {float(np.ptp(second.clock.values)):.6g} s"
+        )
         raise FileFormatError(argument="rate", got=got, need="no rate: the time of that file holds for both")
     for file in (first, second):
-        if not np.all(np.diff(file.seconds) > 0):
+        if not np.all(np.diff(file.clock.values) > 0):
             need = f"one that rises; give rate={RATE} in its place, with this file as the first one"
             raise FileFormatError(argument="join", got=f"a time of {file.source} that falls", need=need)
-    late = second.clock._replace(values=second.seconds + _offset(first, second))
+    late = second.clock._replace(values=second.clock.values + _offset(first, second))
     second = second._replace(columns=_behind(stem, second.columns), clock=late)
     there, here = (
         replace(table, columns=own).fitting("displacement", columns.displacement)
@@ -425,10 +424,10 @@ def _behind(stem: str, columns: Sequence[Column]) -> tuple[Column, ...]:
 
 def _same_times(first: _Timed, second: _Timed) -> bool:
     """Return whether the samples of two files have one time."""
-    if first.seconds.size != second.seconds.size:
+    if first.clock.values.size != second.clock.values.size:
         return False
-    step = float(np.median(np.abs(np.diff(first.seconds)))) if first.seconds.size > 1 else np.inf
-    return bool(np.all(np.abs(first.seconds - second.seconds - _offset(first, second)) <= _SAME * step))
+    step = float(np.median(np.abs(np.diff(first.clock.values)))) if first.clock.values.size > 1 else np.inf
+    return bool(np.all(np.abs(first.clock.values - second.clock.values - _offset(first, second)) <= _SAME * step))
 
 
 def _offset(first: _Timed, second: _Timed) -> float:
@@ -448,8 +447,8 @@ def _offset(first: _Timed, second: _Timed) -> float:
 
 def _common(kept: _Timed, moved: _Timed) -> tuple[Array, list[str]]:
     """Return the times of a file that lie within those of the other, and a remark on wide steps of the other."""
-    others = moved.seconds
-    times = kept.seconds[(kept.seconds >= others[0]) & (kept.seconds <= others[-1])]
+    others = moved.clock.values
+    times = kept.clock.values[(kept.clock.values >= others[0]) & (kept.clock.values <= others[-1])]
     if times.size < 2:
         got = f"times in {kept.source} and {moved.source} that do not overlap"
         need = "times in common, or rate=HZ for the first"

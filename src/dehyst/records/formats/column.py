@@ -21,12 +21,11 @@ MOST, _DOUBLE = 500_000_000, 8
 class ColumnWords(NamedTuple):
     """Words and units by which the columns of a quantity are found.
 
-    `example`: a name that is found. `words`: whole names; `more`: names that need a stated unit. For proposals: `parts`
-    and `letters` of names, usual `units`, and the `range` of piezo stages in SI units, outside of which there is a
-    remark. The unit of a bare factor is the first of `units`.
+    `words`: whole names; `more`: names that need a stated unit. For proposals: `parts` and `letters` of names, usual
+    `units`, and the `range` of piezo stages in SI units, outside of which there is a remark. The unit of a bare factor
+    is the first of `units`; with it, the quantity is a name that is found.
     """
 
-    example: str
     words: str
     parts: str
     units: tuple[str, ...]
@@ -37,7 +36,6 @@ class ColumnWords(NamedTuple):
 
 QUANTITIES = {
     "time": ColumnWords(
-        example="time_s",
         words="time, t",
         more="timestamp, datetime, date, x_value, x-axis, second, seconds, sec, zeit, temps, tiempo",
         parts="time, zeit, second, temps",
@@ -46,7 +44,6 @@ QUANTITIES = {
         range=(0.0, 1e7),
     ),
     "voltage": ColumnWords(
-        example="voltage_V",
         words="voltage, v, drive",
         more="u, spannung, tension, piezo voltage, drive voltage, output voltage, control voltage",
         parts="volt, spannung, drive, ampl, monitor, command, tension, ao, output, ausgang, current, pressure, dac",
@@ -55,7 +52,6 @@ QUANTITIES = {
         range=(0.05, 1500.0),
     ),
     "displacement": ColumnWords(
-        example="displacement_um",
         words="displacement, position, y, pos",
         more="disp, gauge, deflection, elongation, extension, weg, auslenkung, verschiebung",
         parts="disp, pos, weg, auslenk, sensor, gauge, strain, stroke, capac, ai, height, angle, encoder, dehnung",
@@ -64,7 +60,7 @@ QUANTITIES = {
         range=(5e-9, 2e-3),
     ),
     "temperature": ColumnWords(
-        example="temperature_C", words="temperature, temp", parts="temp", units=("degC",), range=(0.0, 100.0)
+        words="temperature, temp", parts="temp", units=("degC",), range=(0.0, 100.0)
     ),
 }
 # Smallest and largest possible value of a piezo actuator and its instruments, in SI units; units that smaller and
@@ -205,8 +201,10 @@ class Column:
         if len(text) <= _SHOWN:
             written = _WRITTEN_OUT.fullmatch(text)
             # "speed um/s" has another unit than s.
-            if written and symbol_of(written[1].split()[-1]) in ("", symbol_of(written[2])) and _is_unit(written[2]):
-                return written[1].strip(), written[2]
+            unit = written[2] if written else ""
+            known = symbol_of(unit) or unit == "A" or _FOREIGN.fullmatch(unit)
+            if written and known and symbol_of(written[1].split()[-1]) in ("", symbol_of(unit)):
+                return written[1].strip(), unit
             if bracketed := _BRACKETS.fullmatch(text):
                 return bracketed[1].strip(), bracketed[2].strip()
         word, _, unit = (part.strip() for part in text.rpartition("_"))
@@ -273,8 +271,3 @@ class Column:
         # Instruments write a word in the place of a unit, as "Sequence".
         named = unit or self.unnamed or _COUNTS.fullmatch(word.strip(" .#").lower())
         return bool(rises and named and not symbol_of(unit))
-
-
-def _is_unit(text: str) -> bool:
-    """Return whether a word is a unit, of a quantity in use or of another one."""
-    return symbol_of(text) != "" or text == "A" or _FOREIGN.fullmatch(text) is not None

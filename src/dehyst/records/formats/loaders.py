@@ -7,19 +7,17 @@ from __future__ import annotations
 
 import io
 import re
-import warnings
 import zipfile
 from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import replace
 from itertools import zip_longest
 from math import inf, nan
-from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from dehyst._errors import FileFormatError, MissingExtraError
+from dehyst._errors import FileFormatError
 from dehyst.records.formats import containers
 from dehyst.records.formats.column import TEXT, Allowance, Column, shortened
 from dehyst.records.formats.notation import is_number, number_in
@@ -95,7 +93,6 @@ def _cell(value: Any) -> str:
     return f"'{text}" if isinstance(value, str) and {*text} & {*".,"} and is_number(text) else text
 
 
-Loader = Callable[[BinaryIO, Allowance], list[Column]]
 # Number of bytes for recognising a text: the longest header of a GCS array.
 _HEAD = 50_000
 
@@ -117,7 +114,7 @@ def _read_text(stream: BinaryIO, allowance: Allowance) -> list[Column]:
 
 
 # By suffix, the function that returns the columns in the bytes of a file within an allowance.
-LOADERS: dict[str, Loader] = {
+LOADERS: dict[str, Callable[[BinaryIO, Allowance], list[Column]]] = {
     **dict.fromkeys(TEXT, _read_text),
     ".xlsx": read_xlsx,
     ".mat": containers.read_mat,
@@ -127,21 +124,3 @@ LOADERS: dict[str, Loader] = {
     ".npy": containers.read_npy,
     ".npz": containers.read_npz,
 }
-
-
-def load(path: Path, stream: BinaryIO, allowance: Allowance) -> list[Column]:
-    """Read a file's columns; raise FileFormatError, with the file's name before each message.
-
-    Raise `MissingExtraError` if the library is not installed.
-    """
-    suffix = path.suffix.lower()
-    try:
-        with warnings.catch_warnings():
-            # A library warns of styles of a sheet and the like, which do not matter for the columns.
-            warnings.simplefilter("ignore")
-            return LOADERS[suffix](stream, allowance)
-    except FileFormatError as error:
-        raise type(error)(**vars(error) | {"message": f"{path}: {error.message}"}) from error
-    except ImportError as error:
-        package = (error.name or "").partition(".")[0]
-        raise MissingExtraError.of(package, "files", f"Reading {suffix} files") from error

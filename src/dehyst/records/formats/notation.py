@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from datetime import date
 from typing import NamedTuple
 
@@ -39,9 +39,9 @@ def cells_of(line: str, delimiter: str | None) -> list[str]:
 
 def number_in(cell: str, decimal: str = ".") -> float:
     """Return a cell's number, NaN if empty; raise ValueError for what only Python reads: 1_000, other digits."""
-    if "_" in cell or not cell.isascii() or (decimal == "," and "." in cell):
+    if "_" in cell or not cell.isascii() or (decimal != "." and "." in cell):
         raise ValueError(cell)
-    return float(cell.replace(decimal, ".") or "nan")
+    return float((cell.replace(decimal, ".") if decimal else cell) or "nan")
 
 
 def is_number(cell: str) -> bool:
@@ -53,59 +53,46 @@ def is_number(cell: str) -> bool:
     return bool(cell)
 
 
-class DecimalSign:
-    """The decimal sign of a table: the one that the user states, else the one that cells show, or a point.
+def decimal_sign(before: int, block: list[str], delimiter: str | None) -> str:
+    """Return the decimal sign that the first block of rows shows; empty if there is none, and later ones need a user.
 
-    `first`: for each sign, the first cell with it, in words. `known`: the sign that a cell shows without doubt; empty
-    if there is none yet.
+    `before`: number of lines before the block. Raise `DecimalSignError` if the cells do not show whether a sign groups
+    digits, and `FileFormatError` if they show both signs.
     """
-
-    def __init__(self, delimiter: str | None, given: str | None) -> None:
-        self.delimiter, self.given, self.first, self.known = delimiter, given, dict[str, str](), given or ""
-
-    @property
-    def sign(self) -> str:
-        """The sign by which numbers are read."""
-        return self.given or next(iter(self.first), ".")
-
-    def look(self, before: int, block: list[str]) -> None:
-        """Look for signs in a block of lines, `before` which others are; raise `FileFormatError` if cells show both."""
-        for sign in () if self.given else [sign for sign in _SIGNS if sign != self.known]:
-            cells = _signed(before, block, self.delimiter, sign)
-            for line, cell in cells:
-                self.first.setdefault(sign, f"row {line} holds '{cell[:_SHOWN]}'")
-                if not _DOUBTFUL.fullmatch(cell):
-                    self.known = sign
-                    break
-        if len(self.first) > 1:
-            raise FileFormatError(
-                f"{self.first['.']} and {self.first[',']}, need one decimal sign in a file, and no groups of digits",
-                hint="save it with points, or state the sign: columns with the other one are left out",
-                change=("decimal",),
-            )
-
-    def demand(self) -> None:
-        """Raise `DecimalSignError` if no cell shows whether the sign groups digits."""
-        # Numbers that commas or blanks separate usually have a decimal point.
-        if self.known or not self.first or (self.sign == "." and self.delimiter in (",", ", ", None)):
-            return
-        raise DecimalSignError(
-            f"{self.first[self.sign]}, which is a number with three decimals or a thousand times as large: no cell "
-            f"shows whether the {_SIGNS[self.sign]} is the decimal sign or groups digits",
-            hint=f'give "{_SIGNS[self.sign]}" if it is the decimal sign; else save it without groups of digits',
+    found = {sign: shown for sign in _SIGNS if (shown := _shown(before, block, delimiter, sign))[0]}
+    if len(found) > 1:
+        raise FileFormatError(
+            f"{found['.'][0]} and {found[','][0]}, need one decimal sign in a file, and no groups of digits",
+            hint="save it with points, or state the sign: columns with the other one are left out",
             change=("decimal",),
         )
+    # Numbers that commas or blanks separate usually have a decimal point.
+    usual = "." if delimiter in (",", ", ", None) else ""
+    sign, (first, sure) = next(iter(found.items()), (usual, ("", True)))
+    if not sure and sign != usual:
+        raise DecimalSignError(
+            f"{first}, which is a number with three decimals or a thousand times as large: no cell shows whether the "
+            f"{_SIGNS[sign]} is the decimal sign or groups digits",
+            hint=f'give "{_SIGNS[sign]}" if it is the decimal sign; else save it without groups of digits',
+            change=("decimal",),
+        )
+    return sign
 
 
-def _signed(before: int, block: list[str], delimiter: str | None, sign: str) -> Iterator[tuple[int, str]]:
-    """Yield the cells of a block that are numbers with a sign, each with the number of its line."""
-    number = re.compile(_SIGNED.format(sign))
+def _shown(before: int, block: list[str], delimiter: str | None, sign: str) -> tuple[str, bool]:
+    """Return the first cell of a block with a sign, in words, and whether a cell shows that the sign is decimal."""
+    number, first = re.compile(_SIGNED.format(sign)), ""
     # Between commas, a cell with a comma is in quotes.
     mark = '"' if sign == delimiter else sign
-    for line, text in enumerate(block if mark in "".join(block) else (), before + 1):
+    for line, text in enumerate(block, before + 1):
         # The last line of a file may be cut off in the middle of a number.
-        if mark in text and (text.endswith("\n") or len(block) == 1):
-            yield from ((line, cell) for cell in filter(number.fullmatch, cells_of(text, delimiter)))
+        if mark not in text or not (text.endswith("\n") or len(block) == 1):
+            continue
+        for cell in filter(number.fullmatch, cells_of(text, delimiter)):
+            first = first or f"row {line} holds '{cell[:_SHOWN]}'"
+            if not _DOUBTFUL.fullmatch(cell):
+                return first, True
+    return first, False
 
 
 # A time of day after a date or alone, its fraction, and its offset from UTC; the longest timestamp.

@@ -118,7 +118,10 @@ def layout_of(written: list[str], decimal: str | None = None) -> Layout:
     begin = 0
     for i in range(place + 2, min(place + _FEW + 2, len(rows))):
         # The rows before are metadata, as R, C and temperature with one value each.
-        if shape.fits(rows[i]) and _are_names(rows[i - 1]) and rows[i - 1] not in rows[:place]:
+        row = rows[i - 1]
+        united = any(symbol_of(Column(cell, np.empty(0)).parts[1]) for cell in row)
+        different = all(row) and all(map(_is_word, row)) and len(set(row)) == len(row)
+        if shape.fits(rows[i]) and united and different and row not in rows[:place]:
             begin, place = place + 1, i
     named = lines[begin:place]
     if not any(shape.names(line.cells) for line in named):
@@ -187,12 +190,6 @@ def is_comment(cells: list[str], width: int, delimiter: str | None) -> bool:
 def _is_word(cell: str) -> bool:
     """Return whether a cell is neither a number nor a timestamp."""
     return not is_number(cell) and not is_moment(cell)
-
-
-def _are_names(row: list[str]) -> bool:
-    """Return whether the cells of a line are different names, at least one of them with its unit."""
-    units = [Column(cell, np.empty(0)).parts[1] for cell in row]
-    return all(row) and all(map(_is_word, row)) and len(set(row)) == len(row) and any(map(symbol_of, units))
 
 
 def _heading(lines: list[_Line], shape: _Shape) -> Layout | None:

@@ -18,11 +18,12 @@ from dehyst._units import FACTORS, symbol_of
 from dehyst.records.formats.column import Allowance, Column, shortened
 from dehyst.records.formats.notation import (
     Blocks,
-    DecimalSign,
     Moment,
     cells_of,
     clock_of,
+    decimal_sign,
     is_moment,
+    is_number,
     moment,
     number_in,
 )
@@ -40,7 +41,9 @@ def _blocks(text: TextIO, whole_lines: bool, skip: int = 0) -> Iterator[tuple[in
     `whole_lines`: leave out a last line without a line end.
     """
     text.seek(0)
-    number = 0
+    for _ in range(skip):
+        text.readline()
+    number = skip
     while block := text.readlines(_BLOCK):
         # A block ends after a line, which may be as long as this.
         if len(block[-1]) > _LONGEST_LINE:
@@ -48,10 +51,9 @@ def _blocks(text: TextIO, whole_lines: bool, skip: int = 0) -> Iterator[tuple[in
                 f"row {number + len(block)} is longer than {_LONGEST_LINE} characters, longer than any row of a "
                 "measurement; check that this is a table with a row for each sample"
             )
+        if lines := block[:-1] if whole_lines and not block[-1].endswith("\n") else block:
+            yield number, lines
         number += len(block)
-        lines = block[:-1] if whole_lines and not block[-1].endswith("\n") else block
-        if rest := lines[max(skip - number + len(block), 0) :]:
-            yield number - len(block) + len(lines) - len(rest), rest
 
 
 def read_text(
@@ -83,7 +85,7 @@ def _read(
     columns = table.columns(allowance)
     # Separators without a name: an empty column, or what stands beside the table.
     columns = [column for column in columns if column.name or np.isfinite(column.data).any()]
-    return _with_clock(columns, layout.above, table.decimal.sign)
+    return _with_clock(columns, layout.above, table.decimal or ".")
 
 
 class _Table:
@@ -96,7 +98,7 @@ class _Table:
     def __init__(self, blocks: Blocks, layout: Layout, decimal: str | None) -> None:
         self.blocks, self.layout, self.delimiter = blocks, layout, layout.delimiter
         self.names, self.width = layout.names, len(layout.names)
-        self.decimal = DecimalSign(self.delimiter, decimal)
+        self.decimal = decimal
         self.count, self.hole = 0, 0
         self.faults: dict[int, str] = {}
         self.clocks: dict[int, list[Moment]] = {}
@@ -106,15 +108,10 @@ class _Table:
         """Read all rows; raise FileFormatError if there are none, or if these are several tables."""
         columns = [np.empty(0) for _ in range(self.width)]
         for number, block in self.blocks():
-            known = self.decimal.known
-            if not known:
-                self.decimal.look(number, block)
-            numbers = self._at_once(block)
-            if numbers is None:
-                if known:
-                    # Only a block that is not read at once can show another sign than the known one.
-                    self.decimal.look(number, block)
-                numbers = self._by_rows(number, block)
+            if self.decimal is None:
+                self.decimal = decimal_sign(number, block, self.delimiter)
+            numbers = self._at_once(block, self.decimal)
+            numbers = self._by_rows(number, block) if numbers is None else numbers
             end = self.count + len(numbers)
             allowance.take(numbers.size, "the next part of its rows")
             for column, values in zip(columns, numbers.T, strict=True):
@@ -123,7 +120,6 @@ class _Table:
                     column.resize(int(_GROWTH * end), refcheck=False)
                 column[self.count : end] = values
             self.count = end
-        self.decimal.demand()
         if not self.count:
             raise FileFormatError("a header but no rows; export the measurement again")
         if self.headers:
@@ -138,12 +134,12 @@ class _Table:
             column.flags.writeable = False
         return [self._column(place, column) for place, column in enumerate(columns)]
 
-    def _at_once(self, lines: list[str]) -> Array | None:
+    def _at_once(self, lines: list[str], decimal: str) -> Array | None:
         """Read a block whose lines are all rows of numbers; return None for other blocks."""
-        if self.clocks or self.hole or self.decimal.sign in (self.delimiter or ""):
+        if self.clocks or self.hole or (decimal and decimal in (self.delimiter or "")):
             return None
-        # A point beside decimal commas must not be read as one.
-        rows = [line.replace(".", "'").replace(",", ".") for line in lines] if self.decimal.sign == "," else lines
+        # A point beside decimal commas, or after rows without any sign, must not be read as one.
+        rows = lines if decimal == "." else [line.replace(".", "'").replace(decimal or ".", ".") for line in lines]
         try:
             data = np.loadtxt(rows, delimiter=self.delimiter, comments=None, ndmin=2)
         except ValueError:
@@ -167,12 +163,14 @@ class _Table:
         is_clock = place in self.clocks
         try:
             for cell in cells if place not in self.faults else ():
-                values.append(moment(cell) if is_clock else number_in(cell, self.decimal.sign))
+                values.append(moment(cell) if is_clock else number_in(cell, self.decimal or ""))
         except ValueError:
-            kind = "timestamp" if is_clock else "number" if self.decimal.sign == "." else "number with a decimal comma"
+            kind = "timestamp" if is_clock else "number with a decimal comma" if self.decimal == "," else "number"
             kind += ", nor a timestamp as 2026-03-04T12:00:00" * (not is_clock and cell.count(":") == 2)
-            line = numbers[cells.index(cell)]
-            self.faults[place] = f"row {line} holds '{shortened(cell)}', which is no {kind}; correct it"
+            fault = f"which is no {kind}; correct it"
+            if not self.decimal and is_number(cell):
+                fault = "whose decimal sign the rows before it do not show; state it, as decimal=point"
+            self.faults[place] = f"row {numbers[cells.index(cell)]} holds '{shortened(cell)}', {fault}"
         unread = is_clock or place in self.faults
         return np.full(len(cells), np.nan) if unread else np.array(values)
 
@@ -208,16 +206,15 @@ class _Table:
 
     def _column(self, place: int, data: Array) -> Column:
         """Return a column with the numbers that were read, or with the times of its timestamps."""
-        fault = self.faults.get(place, "")
-        began = self.clocks[place][0] if place in self.clocks and not fault else None
+        fault, moments = self.faults.get(place, ""), self.clocks.get(place, [])
         stated = self.layout.units[place] if place < len(self.layout.units) else ""
-        unit = "s" if place in self.clocks else symbol_of(stated) or stated
-        if began is not None:
+        if moments and not fault:
             try:
-                data = clock_of(self.clocks[place])
+                data = clock_of(moments)
             except ValueError as error:
                 fault = str(error)
-        data = np.empty(0) if fault else data
+        data, began = (np.empty(0), None) if fault else (data, next(iter(moments), None))
+        unit = "s" if moments else symbol_of(stated) or stated
         return Column(self.names[place], data, unit, fault, unnamed=self.layout.unnamed, began=began)
 
 
