@@ -260,3 +260,13 @@ def test_data_in_place_of_a_file_name_is_not_printed(use, kind):
     with pytest.raises(DehystError, match=r"dehyst\.Record\.from_arrays") as caught:
         use(kind({"time_s": T, "voltage_V": V, "displacement_um": UM} if kind is pd.DataFrame else T))
     assert len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize(("cell", "decimal", "read_as"), [("1.234", "", None), ("1,5", "", None), ("1.5", "point", 1.5)])
+def test_a_sign_that_comes_late_is_not_guessed(tmp_path, cell, decimal, read_as):
+    """Behind the rows that show the decimal sign, here whole numbers."""
+    (tmp_path / "a.csv").write_text("a;b\n" + "1;2\n" * 60_000 + f"{cell};3\n")
+    table = read_table(tmp_path / "a.csv", Columns.parse(f"decimal={decimal}") if decimal else None)
+    first, second = table.columns
+    assert (second.data.size, second.data[-1], bool(first.fault)) == (60_001, 3, read_as is None)
+    assert first.data[-1:].tolist() == [read_as] * bool(read_as)

@@ -196,7 +196,6 @@ def _rounded(values: Array) -> float:
 def fringes(v: Array, y: Array) -> str:
     """Return the error of a displacement (n,) that turns many times in a stroke of the voltage (n,); or empty."""
     turns = turns_of(v)
-    # Not so with numbers that are not finite.
     if turns.size < 2 or not float(np.ptp(y)) >= LEAST_STROKE:
         return ""
     own = turning_points(y, _FRINGE * float(np.ptp(y)))

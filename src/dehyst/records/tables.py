@@ -282,7 +282,9 @@ def _proposed(table: Table, columns: Columns, problems: Sequence[ColumnError], u
             return ""
         column, guessed = assigned[quantity], quantity not in named or given.guess
         pair = (drive.data, column.data) if drive and quantity == "displacement" and not given.scale else ()
-        if pair and pair[0].size == pair[1].size and fringes(*pair):
+        with np.errstate(all="ignore"):
+            periodic = pair and pair[0].size == pair[1].size and fringes(*pair)
+        if periodic:
             entries[quantity] = f"{table.label(column)}{GUESS}*fringe {GAIN} nm"
         elif text := _entry(table, quantity, column, given.scale, guessed=guessed):
             entries[quantity] = text
