@@ -59,9 +59,7 @@ QUANTITIES = {
         units=("um", "nm", "mm", "m"),
         range=(5e-9, 2e-3),
     ),
-    "temperature": ColumnWords(
-        words="temperature, temp", parts="temp", units=("degC",), range=(0.0, 100.0)
-    ),
+    "temperature": ColumnWords(words="temperature, temp", parts="temp", units=("degC",), range=(0.0, 100.0)),
 }
 # Smallest and largest possible value of a piezo actuator and its instruments, in SI units; units that smaller and
 # larger values may have.
