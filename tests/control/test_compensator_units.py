@@ -1,13 +1,16 @@
 """A compensator in micrometres gives the voltages of one in metres, in every method."""
 
+import pickle
+
 import numpy as np
 import plain_records
 import pytest
 
-from dehyst import ClampWarning, Compensator, ModelError
+from dehyst import ClampWarning, Compensator, ModelError, Stage
 from dehyst.control import plan_path
 
 ACTUATOR = plain_records.plant(6)
+STAGE = Stage((ACTUATOR, plain_records.plant(4)), [[1.0, 0.05], [-0.03, 1.0]])
 PATH = np.array([2.0, 5.0, 11.0, 7.0, 3.0, 9.0])
 
 
@@ -17,23 +20,25 @@ def pair(units="um", **options):
 
 
 @pytest.mark.parametrize(("units", "counts"), [("mm", 1e3), ("um", 1e6), ("nm", 1e9)])
-@pytest.mark.parametrize("highest", [200, 100])
+@pytest.mark.parametrize(("model", "highest"), [(ACTUATOR, 200), (ACTUATOR, 100), (STAGE, 100)])
 @pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
-def test_loops_and_paths_in_any_unit_give_the_same_voltages(units, counts, highest):
-    """Of a path that is followed, and of one that is clamped."""
-    metres, other = pair(units, limits=(0, highest))
-    path = PATH / 1e6 * counts
-    command, expected = plan_path(other, path, home=False), plan_path(metres, PATH / 1e6, home=False)
+def test_loops_and_paths_in_any_unit_give_the_same_voltages(units, counts, model, highest):
+    """Of a path that is followed, and of one that is clamped; and a copy goes on alike."""
+    metres, other = pair(units, model=model, limits=(0, highest))
+    path = (PATH if model is ACTUATOR else np.column_stack([PATH, PATH[::-1]])) / 1e6 * counts
+    command, expected = plan_path(other, path, home=False), plan_path(metres, path / counts, home=False)
     for own in ("phase", "clamped", "voltage"):
         np.testing.assert_array_equal(getattr(command, own), getattr(expected, own))
     for own in ("displacement", "expected", "missed"):
         np.testing.assert_allclose(getattr(command, own), counts * np.array(getattr(expected, own)), rtol=1e-12)
     assert (command.units, command.warnings, repr(command)) == (units, expected.warnings, repr(expected))
-    assert (command.missed > 0) == (highest == 100)
-    for wanted in path.tolist():
-        assert other.offer(wanted) == metres.offer(wanted / counts)
-        assert other.step(wanted) == metres.step(wanted / counts)
-    np.testing.assert_array_equal(other.run(path), metres.run(path / counts))
+    assert np.any(command.missed) == (highest == 100)
+    for wanted in path:
+        assert np.array_equal(other.offer(wanted), metres.offer(wanted / counts))
+        assert np.array_equal(other.step(wanted), metres.step(wanted / counts))
+    copies = [pickle.loads(pickle.dumps(loop)) for loop in (metres, other)]
+    for first, second in ((metres, other), copies):
+        np.testing.assert_array_equal(second.run(path), first.run(path / counts))
     np.testing.assert_allclose(other.reach, np.multiply(metres.reach, counts), rtol=1e-15)
 
 

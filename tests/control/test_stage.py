@@ -1,6 +1,5 @@
 """A stage: simulation and compensation of coupled axes, and its file."""
 
-import pickle
 import warnings
 from dataclasses import replace
 
@@ -88,20 +87,6 @@ def test_a_whole_path_with_all_axes_clamped_equals_its_steps(seed):
         assert np.abs(part.expected - wanted[:, j])[alone].max(initial=0) < 1e-15
 
 
-@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
-def test_a_stage_in_micrometres_sends_the_voltages_of_the_same_stage_in_metres():
-    wanted, options = path(np.random.default_rng(5)), {"limits": (-60.0, 40.0), "slew_rate": 900.0, "period": 1e-3}
-    metres, micro = Compensator(stage(), **options), Compensator(stage(), units="um", **options)
-    np.testing.assert_allclose(micro.run(1e6 * wanted[:150]), metres.run(wanted[:150]), atol=1e-9)
-    np.testing.assert_allclose(micro.displacement, 1e6 * metres.displacement, rtol=1e-12)
-    plan = plan_path(micro, 1e6 * wanted, home=False)
-    np.testing.assert_allclose(plan.expected, 1e6 * plan_path(metres, wanted, home=False).expected, rtol=1e-9)
-    copied = pickle.loads(pickle.dumps(metres))
-    np.testing.assert_array_equal(copied.run(wanted[150:]), metres.run(wanted[150:]))
-    with pytest.raises(dehyst.ModelError, match="preview"):
-        Compensator(stage(), preview=True, **options)
-
-
 @pytest.mark.parametrize("timed", [True, False])
 def test_after_a_homing_the_earlier_state_has_no_effect(timed):
     wanted, model = path(np.random.default_rng(8)), stage()
@@ -132,6 +117,7 @@ def test_a_refusal_by_one_axis_changes_no_axis():
         lambda: loop.restore(snapshot[:2]),
         lambda: loop.restore(None),
         lambda: plan_path(loop, np.zeros((9, 3)), start="top"),
+        lambda: Compensator(model, period=1e-3, preview=True),
     ):
         with pytest.raises(dehyst.ModelError):
             refused()
