@@ -3,8 +3,8 @@
 import re
 import runpy
 import shutil
-import subprocess
 
+import node_programs
 import numpy as np
 import places
 import pytest
@@ -21,22 +21,20 @@ EXTENSIONS = places.DOCS / "_extensions"
 
 
 def test_the_page_has_the_virtual_actuator_of_the_package(tmp_path):
-    if shutil.which("node") is None:
-        pytest.skip("node is not installed: the page's script cannot be run (Debian: nodejs)")
     voltage = np.concatenate([np.linspace(200, 0, 200), np.random.default_rng(0).uniform(0, 200, 2000)])
     truth = PlayActuator()
     truth.play(np.linspace(0, 200, 400))
     expected = truth.play(voltage, measured=False)
     shutil.copy(EXTENSIONS / "play_actuator.js", tmp_path / "play_actuator.mjs")
-    voltage.tofile(tmp_path / "voltage")
-    (tmp_path / "program.mjs").write_text(
-        'import fs from "node:fs";\nimport { PlayActuator } from "./play_actuator.mjs";\n'
-        "const bytes = fs.readFileSync('voltage'), actuator = new PlayActuator();\n"
-        "const voltage = new Float64Array(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.length));\n"
-        "for (let v = 0; v <= 200; v += 0.5) actuator.play(v);\n"
-        "fs.writeFileSync('reached', voltage.map((v) => actuator.play(v)));\n"
-    )
-    subprocess.run(["node", "program.mjs"], cwd=tmp_path, check=True)
+    program = """
+import { PlayActuator } from "./play_actuator.mjs";
+import fs from "node:fs";
+const bytes = fs.readFileSync("voltage"), actuator = new PlayActuator();
+for (let v = 0; v <= 200; v += 0.5) actuator.play(v);
+const voltage = new Float64Array(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.length));
+fs.writeFileSync("reached", voltage.map((v) => actuator.play(v)));
+"""
+    node_programs.node(tmp_path, program, head="", voltage=voltage)
     assert np.allclose(np.fromfile(tmp_path / "reached"), expected, rtol=0, atol=1e-12 * truth.stroke)
 
 

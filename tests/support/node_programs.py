@@ -1,4 +1,4 @@
-"""Compensators in WebAssembly, run by node; the answers of its JavaScript as numbers."""
+"""Programs of JavaScript run by node, first of all compensators in WebAssembly; their answers as numbers."""
 
 import shutil
 import subprocess
@@ -37,12 +37,12 @@ def exported(folder, compensator):
     return folder
 
 
-def node(folder, program, **columns):
-    """Run a program after HEAD in the folder of an export; return what it prints."""
+def node(folder, program, head=HEAD, kind="<f8", **columns):
+    """Run a program after a head in a folder, with columns of numbers of a kind as files; return what it prints."""
     need_node()
     for name, values in columns.items():
-        np.asarray(values, dtype="<f8").tofile(folder / name)
-    (folder / "program.mjs").write_text(HEAD + program)
+        np.asarray(values, dtype=kind).tofile(folder / name)
+    (folder / "program.mjs").write_text(head + program)
     done = subprocess.run(["node", "program.mjs"], cwd=folder, capture_output=True, text=True, check=False, timeout=600)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()

@@ -1,4 +1,4 @@
-"""The virtual bench and its rig: limits never left, samples at their times, an actuator that moves as it should."""
+"""The virtual bench of an actuator or a stage, and its rig: limits, samples at their times, and the right motion."""
 
 import math
 import time
@@ -13,7 +13,7 @@ from truths import VIRTUAL, BoucWenActuator, PreisachActuator
 from dehyst import DehystError, ModelError
 from dehyst.instruments import DeviceError, open_rig
 from dehyst.instruments.simulated import SimulatedRig
-from dehyst.virtual import PlayActuator, VirtualBench
+from dehyst.virtual import PlayActuator, VirtualBench, VirtualStage
 from dehyst.waveforms import Excitation, Sampling, standard
 from examples import at_night
 
@@ -31,27 +31,46 @@ def cosine(low=0.0, high=200.0, cycles=2, samples=400):
     return low + 0.5 * (high - low) * (1 - np.cos(turn))
 
 
+COUPLING = np.array([[1.0, 0.04], [-0.03, 1.0]])
+
+
+def pair(**options):
+    return PlayActuator(plays=30, highest=100.0, **options), PreisachActuator(highest=120.0)
+
+
+def waves(samples=400):
+    turn = np.arange(samples) * 2 * np.pi / samples
+    return np.column_stack([50 * (1 - np.cos(turn)), 60 * (1 - np.cos(1.7 * turn))])
+
+
 @pytest.fixture
 def hand():
     return Hand()
 
 
-@pytest.mark.parametrize("kind", TRUTHS)
-def test_a_recorded_wave_is_the_motion_of_the_actuator(kind, hand):
-    wave = cosine()
-    bench = VirtualBench(TRUTHS[kind](), clock=hand, noise=0)
-    bench.start(wave, divider=7)
+@pytest.mark.parametrize(
+    ("kind", "pause"), [*((kind, 0.0131) for kind in TRUTHS), ("stage", 0.0131), ("stage", 0.003), ("stage", 10.0)]
+)
+def test_a_recorded_wave_is_the_motion_of_the_actuator_or_stage(kind, pause, hand):
+    wave = cosine()[:, None] if kind != "stage" else waves()
+    make = TRUTHS.get(kind, lambda: VirtualStage(pair(), COUPLING, noise=0))
+    bench, truth = VirtualBench(make(), clock=hand, noise=0), make()
+    bench.start(dict(enumerate(wave.T)), divider=7)
     while bench.playing:
-        hand.wait(0.0131)
-    at, voltage, displacement = bench.samples()
-    truth = TRUTHS[kind]()
-    expected = truth.play(wave, time=at, measured=False)
-    np.testing.assert_allclose(at, 7 * PERIOD * np.arange(wave.size), rtol=1e-12, atol=1e-15)
-    np.testing.assert_array_equal(voltage, wave)
-    # A jump takes a thousandth of a servo period, of which only what swings and creeps knows.
-    np.testing.assert_allclose(displacement, expected, atol=1e-6 * truth.stroke)
-    if kind == "play":
-        np.testing.assert_array_equal(displacement, expected)
+        hand.wait(pause)
+        bench.advance()
+    time = 7 * PERIOD * np.arange(len(wave))
+    expected = truth.play(wave if kind == "stage" else wave[:, 0], time=time, measured=False).reshape(wave.shape)
+    # A jump takes a thousandth of a servo period, of which only what swings and creeps knows; sums of relays depend on
+    # the number of samples in their last digits.
+    slack = {"play": 0.0, "stage": 1e-13}.get(kind, 1e-6) * np.ptp(expected)
+    for j, axis in enumerate(bench.axes):
+        at, voltage, displacement = bench.samples(axis=j)
+        np.testing.assert_allclose(at, time, rtol=1e-12, atol=1e-15)
+        np.testing.assert_array_equal(voltage, wave[:, j])
+        np.testing.assert_allclose(displacement, expected[:, j], rtol=0, atol=slack)
+        # A later reading is the last sample.
+        assert kind != "stage" or axis.displacement() == displacement[-1]
 
 
 def test_the_noise_is_that_of_the_actuator_unless_it_is_given():
@@ -226,3 +245,40 @@ def test_records_have_the_declared_further_channels_of_a_rig():
     with pytest.raises(DeviceError, match="temperature_C"):
         rig.play(wave)
     assert open_rig("sim://", limits=(0, 100)).play(wave).temperature is None
+
+
+def test_displacements_are_the_matrix_times_the_actuators_displacements():
+    v = waves()
+    alone = np.column_stack([actuator.play(v[:, j], measured=False) for j, actuator in enumerate(pair())])
+    y = VirtualStage(pair(), COUPLING).play(v, measured=False)
+    np.testing.assert_allclose(y, alone @ COUPLING.T, rtol=0, atol=1e-18)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"coupling": np.eye(3)}, "coupling: got 3 x 3 numbers for 2 axes"),
+        ({"coupling": 2 * np.eye(2)}, "need 1 for each axis"),
+    ],
+)
+def test_a_matrix_or_actuators_of_another_size_are_refused(change, words):
+    with pytest.raises(ModelError, match=words):
+        VirtualStage(pair(), **change)
+
+
+def test_equal_stages_have_equal_serial_numbers():
+    stage, same = VirtualStage(pair(), COUPLING), VirtualStage(pair(), COUPLING, noise=0, seed=3)
+    assert stage.serial == same.serial
+    assert stage.serial != VirtualStage(pair(), np.eye(2)).serial
+
+
+def test_an_axis_at_rest_is_recorded_too(hand):
+    v = waves()
+    stage = VirtualBench(VirtualStage(pair(), COUPLING, noise=0), clock=hand)
+    stage.axes[1].set_voltage(30.0)
+    stage.start({0: v[:, 0]})
+    hand.wait(1.0)
+    stage.advance()
+    _, voltage, displacement = stage.samples(axis=1)
+    assert set(voltage) == {30.0}
+    assert np.ptp(displacement) == pytest.approx(0.03 * np.ptp(stage.samples(axis=0)[2]), rel=1e-3)

@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 
+import node_programs
 import numpy as np
 import places
 import pytest
@@ -36,8 +37,7 @@ FRAME = "const frame = { x0: 0, kx: 4, y0: 12, ky: -12.5, width: 400, height: 30
 
 @pytest.fixture(scope="module")
 def modules(tmp_path_factory):
-    if shutil.which("node") is None:
-        pytest.skip("node is not installed: the page's modules cannot be run (Debian: nodejs)")
+    node_programs.need_node()
     folder = tmp_path_factory.mktemp("modules")
     for sources in FOLDERS:
         shutil.copytree(sources, folder, dirs_exist_ok=True)
@@ -48,14 +48,8 @@ def modules(tmp_path_factory):
 @pytest.fixture
 def run(modules):
     def node(program, **columns):
-        for name, values in columns.items():
-            np.asarray(values, dtype="<f4").tofile(modules / name)
-        (modules / "program.js").write_text(HEAD + FRAME + program)
-        done = subprocess.run(
-            ["node", "program.js"], cwd=modules, capture_output=True, text=True, check=False, timeout=120
-        )
-        assert done.returncode == 0, done.stderr
-        return json.loads(done.stdout) if done.stdout else None
+        printed = node_programs.node(modules, program, HEAD + FRAME, "<f4", **columns)
+        return json.loads(printed) if printed else None
 
     return node
 
