@@ -30,12 +30,10 @@ class Card:
 
     @property
     def voltage(self):
-        self.advance()
         return GAIN * self.output
 
     @property
     def playing(self):
-        self.advance()
         return any(task.running and task.outputs for task in self.tasks)
 
     def put(self, volts):
@@ -84,7 +82,6 @@ class Task:
     def demand(self, kind):
         """Refuse a task that is closed, or whose channels another task has reserved."""
         assert not self.closed
-        self.card.advance()
         for other in self.card.tasks:
             assert other is self or not other.reserved or not getattr(other, kind), "The resource is reserved."
 
@@ -110,7 +107,6 @@ class Task:
 
     @property
     def avail_samp_per_chan(self):
-        self.card.advance()
         return len(self.taken) - self.given
 
     def write(self, data, auto_start):
@@ -145,7 +141,6 @@ class Task:
         return [list(column) for column in zip(*lot, strict=True)]
 
     def close(self):
-        self.card.advance()
         self.running, self.reserved, self.closed = False, False, True
         self.card.tasks.remove(self)
 

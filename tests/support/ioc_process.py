@@ -9,14 +9,14 @@ import os
 import socket
 import subprocess
 import sys
+from contextlib import ExitStack, suppress
 
 import places
 
 PREFIX = "BENCH:"
 _PROGRAM = """
-import json, sys, threading, time
+import json, sys, threading
 sys.path.insert(0, sys.argv[3])
-import dehyst
 from dehyst import VoltageLimits
 from dehyst.virtual import PlayActuator, VirtualBench
 from emulator.epics_ioc import serve_ioc
@@ -24,12 +24,6 @@ prefix, options = sys.argv[1], json.loads(sys.argv[2])
 truth = PlayActuator(**{"noise": 0.0, **options.pop("actuator", {})})
 instrument, lock = VirtualBench(truth, **options), threading.Lock()
 serve_ioc(instrument, prefix, lock)
-
-def said(act):
-    try:
-        act()
-    except dehyst.DehystError as error:
-        return str(error)
 
 print("ready", flush=True)
 for line in sys.stdin:
@@ -47,21 +41,16 @@ _WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
 
 def _free_ports(count):
     """Ports that are free for UDP and TCP; each stays open until all are found, so that none occurs twice."""
-    held, ports = [], []
-    while len(ports) < count:
-        tcp, udp = socket.socket(), socket.socket(type=socket.SOCK_DGRAM)
-        held += [tcp, udp]
-        tcp.bind(("127.0.0.1", 0))
-        try:
-            udp.bind(("127.0.0.1", tcp.getsockname()[1]))
-        except OSError:
-            continue
-        # Linux gives only ports of one parity to a program that asks for any port.
-        if tcp.getsockname()[1] // 2 % _WORKERS != _WORKER:
-            continue
-        ports.append(tcp.getsockname()[1])
-    for each in held:
-        each.close()
+    ports = []
+    with ExitStack() as held:
+        while len(ports) < count:
+            tcp = held.enter_context(socket.create_server(("127.0.0.1", 0)))
+            udp, port = held.enter_context(socket.socket(type=socket.SOCK_DGRAM)), tcp.getsockname()[1]
+            # Linux gives only ports of one parity to a program that asks for any port.
+            if port // 2 % _WORKERS == _WORKER:
+                with suppress(OSError):
+                    udp.bind(("127.0.0.1", port))
+                    ports.append(port)
     return ports
 
 

@@ -5,7 +5,7 @@ import re
 import signal
 import subprocess
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import httpx
@@ -97,16 +97,12 @@ def done(client, answer):
 
 def workers(folder):
     """Return the numbers of the processes that run an operation in a folder."""
-    listed = subprocess.run(["ps", "-eo", "pid,args"], capture_output=True, text=True, check=True).stdout
-    numbers = [int(line.split()[0]) for line in listed.splitlines() if "dehyst.workbench.worker" in line]
-    return [number for number in numbers if _folder_of(number) == folder.resolve()]
-
-
-def _folder_of(number):
-    try:
-        return Path(f"/proc/{number}/cwd").readlink()
-    except OSError:
-        return None
+    numbers = []
+    for place in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            runs = b"dehyst.workbench.worker" in (place / "cmdline").read_bytes()
+            numbers += [int(place.name)] * (runs and (place / "cwd").readlink() == folder.resolve())
+    return numbers
 
 
 @contextmanager
