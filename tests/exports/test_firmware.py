@@ -315,10 +315,7 @@ def test_models_that_cannot_be_rounded_to_floats_are_refused(compensator):
     [
         (creeping(), "double"),
         (creeping(period=1e-3), "half"),
-        (
-            Compensator(Stage([creeping().actuator] * 2, COUPLING[:2, :2]), limits=[(0, 100)] * 2, period=1.0),
-            "double",
-        ),
+        (Compensator(Stage([creeping().actuator] * 2, COUPLING[:2, :2]), limits=[(0, 100)] * 2, period=1.0), "double"),
     ],
 )
 def test_creep_without_a_period_or_in_a_stage_and_unknown_number_types_are_refused(given, number):

@@ -81,9 +81,6 @@ def test_cleaning_and_averaging_keep_channels_aligned():
     assert block_means(RECORD, 4).others[0].values == pytest.approx(TEMPERATURE.reshape(-1, 4).mean(axis=1))
 
 
-# Files
-
-
 @pytest.mark.parametrize("suffix", [".csv", ".npz"])
 def test_temperatures_are_found_in_files_of_others(suffix, tmp_path):
     columns = {**FILE, "Temperature [K]": TEMPERATURE + 273.15, "load_N": LOAD, "spare_V": V, "order_N": V}

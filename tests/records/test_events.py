@@ -11,7 +11,7 @@ from truths import BoucWenActuator
 
 import dehyst
 from dehyst import Record, RecordError
-from dehyst.records import counting
+from dehyst.records import counting, guesses, rms
 from dehyst.records.events import counted_events, record_of_periodic
 from dehyst.records.record import columns_of
 from dehyst.report.pictures import record_in_time
@@ -35,9 +35,6 @@ def test_a_held_voltage_is_stated():
     assert held.axis(0)[3:9].hold == "sample"
 
 
-# Events
-
-
 def test_events_are_moved_to_the_nearest_samples():
     assert np.count_nonzero(KNOWN.measured) == EVENTS.size
     assert KNOWN.displacement[KNOWN.measured] == pytest.approx(FULL[KNOWN.measured], abs=2e-9)
@@ -48,6 +45,18 @@ def test_events_are_moved_to_the_nearest_samples():
     assert "60 events" in repr(KNOWN)
     assert any("60 events" in words for words in KNOWN.problems())
     KNOWN.check_usable()
+
+
+@pytest.mark.parametrize("late", [0.0, 0.5])
+def test_events_of_a_fast_motion_keep_their_displacement(late):
+    # 12 um in 12 samples, with three fringes in some of them.
+    time, fine = np.arange(240.0), np.linspace(0, 239, 239 * 256 + 1)
+    moved = 6e-6 * (1 - np.cos(np.pi * (fine - late) / 12))
+    (at,) = np.nonzero(np.diff(moved // FRINGE))
+    place = FRINGE * np.round(moved[at] / FRINGE)
+    record = Record.from_events(time, 50 - 50 * np.cos(np.pi * time / 12), fine[at] + 0.5 / 256, place, units="m")
+    missed = (record.displacement - moved[::256])[record.measured]
+    assert rms(missed) < 1e-8 and np.abs(missed).max() < 5e-8
 
 
 def test_fits_and_errors_use_only_events():
@@ -254,5 +263,12 @@ def test_a_file_of_a_periodic_signal_is_a_record_of_events(tmp_path, kind, perio
     assert np.abs(error - np.median(error)).max() < 0.2
     assert [(channel.name, channel.unit) for channel in record.others] == [("signal", "V")]
     assert len(record) == t.size
+    assert sum(f"{1e9 * period:.7g} nm of travel" in words for words in record.problems()) == 1
     *_, chart = record_in_time(record)
     assert (chart.y.quantity, len(chart.series[-1].x)) == ("signal", np.count_nonzero(record.measured))
+
+
+@pytest.mark.parametrize(("period", "doubtful"), [(633e-9, 1), (1550e-9, 1), (316.4e-9, 0), (775e-9, 0)])
+def test_a_period_of_a_whole_wavelength_is_doubted(period, doubtful):
+    record = record_of_periodic(*clean(), period, kind="fringe", name="a")
+    assert sum("a laser wavelength" in words for words in guesses(record)) == doubtful

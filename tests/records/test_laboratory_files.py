@@ -28,9 +28,6 @@ def test_units_after_slashes_select_no_other_column(tmp_path):
         read(path, "voltage=Sensor A/nm:V")
 
 
-# Two files
-
-
 def test_files_are_joined_by_time(tmp_path):
     drive = text(tmp_path, "time_s,voltage_V\n" + laboratory_files.rows(T, V))
     late = np.linspace(0.01, T[-1] - 0.01, 3000)
@@ -63,9 +60,6 @@ def test_files_are_joined_by_sample(tmp_path):
         read(text(tmp_path, "time_s,voltage_V\n0,1\n1,2\n2,3\n"), f"join={apart}")
 
 
-# Instruments
-
-
 def test_a_gcs_array_has_its_names_and_its_clock(tmp_path):
     laboratory_files.gcs(tmp_path / "a.dat")
     table = read_table(tmp_path / "a.dat")
@@ -85,9 +79,6 @@ def test_fields_of_a_structure_and_plain_arrays_of_one_name_are_chosen_by_the_us
         read(tmp_path / "a.mat")
     assert_measured(read(tmp_path / "a.mat", "time=time_s, voltage=voltage_V"))
     assert read(tmp_path / "a.mat", "time=time_s, voltage=old.voltage_V").voltage == pytest.approx(V)
-
-
-# Guesses
 
 
 def test_a_guess_is_kept_until_it_is_verified(tmp_path):

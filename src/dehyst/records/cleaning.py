@@ -304,9 +304,8 @@ class _Signals(NamedTuple):
         """Return start and stop of excursions inside the record that the other signal does not follow."""
         candidates: list[tuple[float, int, int]] = []
         steps = np.diff(self.v)
-        jumps, far_jumps = (
-            np.flatnonzero(np.abs(steps) > least) for least in (self.least, max(self.least, _LEAST_LONG * self.span))
-        )
+        levels = self.least, max(self.least, _LEAST_LONG * self.span)
+        jumps, far_jumps = (np.flatnonzero(np.abs(steps) > least) for least in levels)
         for width in range(1, self.widest + 1):
             # The 98th percentile of the excursion over windows of this width.
             there, back = steps[:-width], steps[width:]

@@ -39,12 +39,14 @@ _LONG, _FIRST, _SHORT = {"fringe": 2.2, "grating": 1.8}, 2.2, 0.35
 _NEARER, _FARTHER = 0.75, 1.0
 # Margin of the recommended sample rate; largest sample, in amplitudes.
 _SPARE, _BEYOND = 1.1, 1.5
+# Wavelengths of usual lasers [nm]; a period this near to one of them, as a part of it, is doubtful.
+_LASERS, _NEAR_LASER = (405, 488, 514.5, 532, 632.8, 635, 650, 780, 785, 808, 850, 980, 1064, 1310, 1550), 1e-3
 # Ends of similar cycles differ by less than this part of the range, and their counts by at most this, in half periods.
 _ALIKE, _JUMP = 0.01, 1.6
 
 
 def at_samples(time: Array, voltage: Array, event_time: ArrayLike, position: ArrayLike) -> Array:
-    """Return positions (n,) at the samples nearest to events, moved by the gain to their voltages; NaN elsewhere."""
+    """Return positions (n,) at the samples nearest to events, moved along the motion to their times; NaN elsewhere."""
     when = vector(event_time, "event_time", error=RecordError)
     where = vector(position, "position", error=RecordError)
     if when.size != where.size or when.size < _FEWEST:
@@ -55,20 +57,26 @@ def at_samples(time: Array, voltage: Array, event_time: ArrayLike, position: Arr
         got, need = f"{when[bad[0]]:.9g} s", f"rising times in the record, {time[0]:.9g} to {time[-1]:.9g} s"
         hint = "sort the events, and check that both have one clock"
         raise RecordError(argument=f"event_time[{bad[0]}]", got=got, need=need, hint=hint)
-    at = np.interp(when, time, voltage)
-    overall = float(np.ptp(where)) / max(float(np.ptp(voltage)), 1e-300)
-    with np.errstate(all="ignore"):
-        gain = np.diff(where) / np.diff(at)
-    # Two events on opposite sides of a turn show no gain.
-    gain[~(np.abs(gain - overall) <= overall)] = np.nan
-    beside = np.array([np.append(np.nan, gain), np.append(gain, np.nan)])
-    known = np.count_nonzero(~np.isnan(beside), axis=0)
-    gain = np.where(known > 0, np.nansum(beside, axis=0) / np.maximum(known, 1), overall)
     nearest = np.clip(np.searchsorted(time, when), 1, time.size - 1)
     nearest -= when - time[nearest - 1] < time[nearest] - when
+    # Between turns of the displacement, a parabola over time through three events leads from an event to its sample.
+    steps = np.sign(np.diff(where))
+    begins = np.append(True, (steps == 0) | (steps * np.append(steps[:1], steps[:-1]) < 0))
+    ends = np.append(np.flatnonzero(begins), when.size)
+    first, last = ends[np.cumsum(begins) - 1], ends[np.cumsum(begins)] - 1
+    a = np.clip(np.arange(when.size) - 1, first, np.maximum(last - 2, first))
+    b, c, now = np.minimum(a + 1, last), np.minimum(a + 2, last), time[nearest]
+    with np.errstate(all="ignore"):
+        slope = (where[b] - where[a]) / (when[b] - when[a])
+        bend = ((where[c] - where[b]) / (when[c] - when[b]) - slope) / (when[c] - when[a])
+        moved = where[a] + (now - when[a]) * (slope + np.nan_to_num(bend) * (now - when[b])) - where
+    # An event alone, or two at one time, move by the mean gain of the voltage.
+    usual = voltage[nearest] - np.interp(when, time, voltage)
+    usual *= float(np.ptp(where)) / max(float(np.ptp(voltage)), 1e-300)
+    likely = np.abs(moved) <= 2 * np.maximum(np.abs(usual), np.median(np.abs(usual)))
     samples, which, shared = np.unique(nearest, return_inverse=True, return_counts=True)
     found = np.full(time.size, np.nan)
-    found[samples] = np.bincount(which, where + gain * (voltage[nearest] - at)) / shared
+    found[samples] = np.bincount(which, where + np.where(likely, moved, usual)) / shared
     return found
 
 
@@ -97,7 +105,10 @@ def record_of_periodic(
     record = Record.from_events(time, voltage, when, where, name=name, units="m")
     with np.errstate(all="ignore"):
         way = np.nanmedian(np.abs(np.diff(np.interp(when, whole.time, whole.voltage)) / np.diff(where)))
-    return replace(record, others=whole.others, meta={"step_V": 0.5 * _STEP * period * float(way)})
+    laser = kind == "fringe" and min(abs(1e9 * period / line - 1) for line in _LASERS) < _NEAR_LASER
+    doubt = ": a laser wavelength, and a period of a Michelson interferometer is half of it" * laser
+    scale = [f"One period of the signal is {1e9 * period:.7g} nm of travel{doubt}."]
+    return replace(record, others=whole.others, meta={"step_V": 0.5 * _STEP * period * float(way), "scale": scale})
 
 
 def counted_events(
@@ -226,8 +237,8 @@ def _held(voltage: Array, least: float) -> int:
     return (int(np.argmax(away)) if away.any() else voltage.size) - 1
 
 
-def _extremes(time: Array, z: Array, found: _Crossings) -> tuple[Array, Array]:
-    """Return times and counts of the extremes between two crossings of one branch: vertices of parabolas."""
+def _extremes(time: Array, z: Array, found: _Crossings) -> Array:
+    """Return times and counts (2, k) of the extremes between two crossings of one branch: vertices of parabolas."""
     events = []
     for k in np.flatnonzero(~np.isnan(found.way)).tolist():
         first, last = np.searchsorted(time, found.time[k : k + 2]).tolist()
@@ -239,8 +250,7 @@ def _extremes(time: Array, z: Array, found: _Crossings) -> tuple[Array, Array]:
         place = middle - 0.5 * slope / bend if bend else np.inf
         if time[own[0]] <= place <= time[own[-1]]:
             events.append((place, 0.5 * float(found.number[k] + found.number[k + 1])))
-    when, count = np.array(events).reshape(-1, 2).T
-    return when, count
+    return np.array(events).reshape(-1, 2).T
 
 
 def _refuse_lost_counts(

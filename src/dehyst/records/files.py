@@ -100,9 +100,8 @@ def record_of(table: Table, columns: Columns, name: str) -> Record:
     scale = moved.entry.scale
     if scale is not None and scale.kind:
         period, unit = float(in_si(scale.factor, scale.unit)), moved.entry.unit or moved.column.parts[1] or "a.u."
-        record = record_of_periodic(
-            time.values, drive.values, moved.values, period, kind=scale.kind, name=name, unit=unit
-        )
+        signals = time.values, drive.values, moved.values
+        record = record_of_periodic(*signals, period, kind=scale.kind, name=name, unit=unit)
         return replace(record, meta={**meta, **record.meta}, others=(*channels, *record.others), hold=hold)
     measured = ~np.isnan(moved.values) if moved.column.timing == "events" else None
     return Record(time.values, drive.values, moved.values, name, meta, others=channels, hold=hold, measured=measured)
@@ -285,8 +284,6 @@ def _ends(values: Array, digits: int) -> tuple[float, float]:
     """Return bounds for values (n,) so that rounding to `digits` moves none out of their range: limits are kept."""
     there = np.isfinite(values)
     lowest, highest = values.min(where=there, initial=inf), values.max(where=there, initial=-inf)
-    low, high = (
-        float(Context(digits, rounding).create_decimal(float(end)))
-        for end, rounding in ((lowest, ROUND_CEILING), (highest, ROUND_FLOOR))
-    )
+    ends = (lowest, ROUND_CEILING), (highest, ROUND_FLOOR)
+    low, high = (float(Context(digits, rounding).create_decimal(float(end))) for end, rounding in ends)
     return (low, high) if low <= high else (-inf, inf)

@@ -127,6 +127,7 @@ def guesses(record: Record) -> tuple[str, ...]:
     return (
         *(f"The {key} is guessed, verify: {words}." for key, words in record.meta.get("guesses", {}).items()),
         *(f"{doubt}; check its unit and scale." for doubt in doubts),
+        *record.meta.get("scale", ()),
     )
 
 
@@ -196,10 +197,7 @@ def _reasons(record: Record) -> Iterator[str]:
         yield words
     cycles = record.cycles()
     if not cycles:
-        yield (
-            "no full cycle of the voltage found, one is needed; drive it up and back down, for instance with a sine "
-            "over the whole range"
-        )
+        yield "no full cycle of the voltage found, one is needed; drive it up and back down, such as with a sine"
     if record.measured is not None:
         events = int(np.count_nonzero(record.measured))
         few = f"the displacement is known at {events} events, {_LEAST_EVENTS} are needed; drive over more of them"
@@ -222,10 +220,7 @@ def _reasons(record: Record) -> Iterator[str]:
             f"record on one side of {turn:.3g} V"
         )
     if np.corrcoef(record.voltage, record.displacement)[0, 1] < -0.5:
-        yield (
-            "displacement falls when voltage rises: the actuator is poled the other way, or the sensor's sign is "
-            "inverted; if it is the sensor, read the columns with displacement=NAME*-1"
-        )
+        yield "displacement falls as voltage rises: poled the other way, or the sensor's sign: try displacement=NAME*-1"
     yield from _clipped(record, max(5, round(0.005 * len(record) / max(1, len(cycles)))))
     if words := loops.leading(record, cycles):
         yield words

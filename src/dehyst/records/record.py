@@ -276,8 +276,8 @@ class Record(Plotted):
         """Make a record whose displacement is known at events only: at lines, fringes, or edges of an encoder.
 
         `time` and `voltage` (n,) [s] and [V]; `event_time` (k,) [s], rising, and `position` (k,) at these times, in
-        `units`. Each event moves to the nearest sample, and its position by the gain between events times the
-        difference of the voltages; the mean of several events at a sample counts. `measured` marks these samples.
+        `units`. Each event moves to the nearest sample, and its position along a parabola over time through its
+        neighbours; the mean of several events at a sample counts. `measured` marks these samples.
 
         Raise `RecordError` if there are fewer than 4 events, their times do not rise or lie outside of the record's,
         a position is not finite, or times and positions differ in number; otherwise as `from_arrays`.

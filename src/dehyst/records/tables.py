@@ -321,9 +321,8 @@ def _unlikeliness(column: Column, quantity: str) -> int:
     sensor = quantity == "displacement" and stated == "voltage"
     # A set point is not a measured displacement.
     target = 4 if quantity == "displacement" and column.is_set_point else 0
-    return (
-        (0 if stated == quantity else 1 if not stated or sensor else 4) - 2 * named + bool(fits - {quantity}) + target
-    )
+    cost = 0 if stated == quantity else 1 if not stated or sensor else 4
+    return cost - 2 * named + bool(fits - {quantity}) + target
 
 
 def _entry(table: Table, quantity: str, column: Column, scale: Scale | None, *, guessed: bool) -> str:

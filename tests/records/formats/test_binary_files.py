@@ -41,9 +41,6 @@ def refused(path, change, columns=None):
     return str(caught.value)
 
 
-# Writers
-
-
 def hdf5(datasets, attributes=(), **options):
     """Datasets by name, and attributes by the name of an item, a dot and their own."""
 
@@ -255,9 +252,6 @@ def test_units_come_from_names_and_attributes(tmp_path):
     assert {column.leaf: column.parts[1] for column in read_table(tmp_path / "a.h5").columns} == columns
     tdms(({"y": Y}, None), unit_string="Millimeters")(tmp_path / "a.tdms")
     assert read_table(tmp_path / "a.tdms").column("displacement") == pytest.approx(Y * 1e-3)
-
-
-# Libraries
 
 
 LIBRARIES = {"a.h5": "h5py", "new.mat": "h5py", "a.mat": "scipy.io", "a.tdms": "nptdms"}

@@ -47,9 +47,6 @@ def test_hostile_cells_are_read_fast(tmp_path, run):
     assert run.strip() or "\n" not in run or count == N
 
 
-# Numbers
-
-
 @pytest.mark.parametrize("column", ["time", "voltage", "displacement"])
 @pytest.mark.parametrize("value", [1e308, -1e308, 1e200, 1e31])
 def test_implausible_numbers_are_refused(column, value):
@@ -71,9 +68,6 @@ def test_implausibly_short_time_steps_are_refused():
     time[1] = 5e-324
     with pytest.raises(RecordError, match=r"steps of 4.94e-324 s"):
         Record(time, V, Y)
-
-
-# By dice
 
 
 @pytest.mark.parametrize("count", [120, at_night(1000), pytest.param(10_000, marks=pytest.mark.fuzz)])
