@@ -47,8 +47,8 @@ def test_wrong_addresses_are_refused(tmp_path):
         ("pi://", "need pi://host:port"),
         ("pi://h:99999", "not the address"),
         ("pi://h:1/a/b", "need pi://host"),
-        ("gpib://7", "got an unknown kind of rig, 'gpib'"),
-        ("rubbish", "not the address of a rig"),
+        ("gpib://7", "'gpib'"),
+        ("rubbish", "'rubbish'"),
         ("a.py:", "not the address"),
         ("epics://", "need the prefix"),
         ("missing.py:make", "does not exist"),
@@ -58,8 +58,8 @@ def test_wrong_addresses_are_refused(tmp_path):
     own = tmp_path / "own_rig_of_mine.py"
     for text, why in [
         ("make = 3", "has no function 'make'"),
-        ("def make(**_): return 3", "returned a int, need an AbstractRig"),
-        ("def make(): pass", "dehyst calls it with limits and slew_rate"),
+        ("def make(**_): return 3", "returned a int"),
+        ("def make(): pass", "TypeError"),
         ("1/0", "ZeroDivisionError"),
         ("x y", "SyntaxError"),
     ]:
@@ -108,7 +108,7 @@ def test_a_user_defined_rig_is_an_ordinary_module(tmp_path, monkeypatch, begin):
 )
 def test_a_rig_that_ignores_limits_or_slew_rate_is_refused(tmp_path, asked, why):
     address = own_rig(tmp_path, "def make(**asked):\n    return SimulatedRig(PlayActuator())")
-    with pytest.raises(RigError, match=f"{why}.*pass limits and slew_rate on"):
+    with pytest.raises(RigError, match=why):
         open_rig(address, **asked)
 
 

@@ -75,13 +75,13 @@ def test_creep_adds_the_stated_share_of_a_step_in_each_decade(creep):
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: PlayActuator(creep=-0.1), "creep: got -0.1, need a share"),
-        (lambda: PlayActuator(noise=-1.0), "noise: got -1.0, need a standard deviation"),
-        (lambda: PlayActuator(asymmetry=2.0), "the map must increase"),
-        (lambda: BoucWenActuator().play([0, 1]), "swings: it needs the time of each sample"),
-        (lambda: PlayActuator(creep=0.01).play([0, 1]), "creeps: it needs the time of each sample"),
-        (lambda: BoucWenActuator().play([0, 1], time=[0]), "time: got 1 samples, the voltage has 2"),
-        (lambda: BoucWenActuator().play([0, 1], time=[0, 0]), "does not increase at sample 1"),
+        (lambda: PlayActuator(creep=-0.1), "creep: got -0.1"),
+        (lambda: PlayActuator(noise=-1.0), "noise: got -1.0"),
+        (lambda: PlayActuator(asymmetry=2.0), "asymmetry 2"),
+        (lambda: BoucWenActuator().play([0, 1]), "swings"),
+        (lambda: PlayActuator(creep=0.01).play([0, 1]), "creeps"),
+        (lambda: BoucWenActuator().play([0, 1], time=[0]), "time: got 1 samples"),
+        (lambda: BoucWenActuator().play([0, 1], time=[0, 0]), "at sample 1"),
         (lambda: BoucWenActuator().play([0], time=[0]), "got one sample"),
     ],
 )
