@@ -72,34 +72,28 @@ def test_complete_records_of_all_axes_are_kept(calibrated, monkeypatch):
     assert Stage.load(folder / "stage.json")
 
 
-class TestPlan:
-    """What is known before anything is sent."""
+def test_axes_move_one_after_the_other_then_together(calibrated):
+    with served() as (server, bench), rig_of(server) as rig:
+        planned = {step.name: step for step in planned_steps(rig, Plan())}
+        assert [axis.log.largest_step for axis in bench.axes] == [0.0] * 3
+    axes, nominal = (planned[name].excitation.voltage for name in ("axes", "nominal"))
+    moving = np.abs(np.diff(axes, axis=0)) > 0
+    alone = [(moving[:, j] & (moving.sum(axis=1) == 1)).sum() for j in range(3)]
+    assert min(alone) > 1000
+    assert moving.all(axis=1).sum() > 1000
+    assert np.allclose(axes.max(axis=0), HIGHEST)
+    assert np.allclose(nominal.max(axis=0), HIGHEST)
+    assert len(calibrated[0].compensated.wanted) == pytest.approx(planned["compensated"].more - 200, abs=2)
 
-    def test_axes_move_one_after_the_other_then_together(self):
-        with served() as (server, bench), rig_of(server) as rig:
-            steps = {step.name: step.excitation.voltage for step in planned_steps(rig, Plan())}
-            assert [axis.log.largest_step for axis in bench.axes] == [0.0] * 3
-        moving = np.abs(np.diff(steps["axes"], axis=0)) > 0
-        alone = [(moving[:, j] & (moving.sum(axis=1) == 1)).sum() for j in range(3)]
-        assert min(alone) > 1000
-        assert moving.all(axis=1).sum() > 1000
-        assert np.allclose(steps["axes"].max(axis=0), HIGHEST)
-        assert np.allclose(steps["nominal"].max(axis=0), HIGHEST)
 
-    def test_the_entries_of_a_plan_state_their_durations(self):
-        with served() as (server, _), rig_of(server, limits=[(0, 50), (5, 60), (0, 150)], slew_rate=200.0) as rig:
-            steps = planned_steps(rig, Plan())
-            entries = [step.as_dict(rig) for step in steps]
-        assert [entry["step"] for entry in entries] == ["axes", "nominal", "compensated"]
-        assert entries[0]["samples"] == len(steps[0].excitation)
-        assert entries[0]["lowest_V"] == [0.0, 5.0, 0.0]
-        assert all(max(entry["steepest_V_per_s"]) <= 200.0 * (1 + 1e-9) for entry in entries)
-
-    def test_a_path_has_the_number_of_samples_of_the_plan(self, calibrated):
-        result, *_ = calibrated
-        with served() as (server, _), rig_of(server) as rig:
-            planned = planned_steps(rig, Plan())[-1].more
-        assert len(result.compensated.wanted) == pytest.approx(planned - 200, abs=2)
+def test_the_entries_of_a_plan_state_their_durations():
+    with served() as (server, _), rig_of(server, limits=[(0, 50), (5, 60), (0, 150)], slew_rate=200.0) as rig:
+        steps = planned_steps(rig, Plan())
+        entries = [step.as_dict(rig) for step in steps]
+    assert [entry["step"] for entry in entries] == ["axes", "nominal", "compensated"]
+    assert entries[0]["samples"] == len(steps[0].excitation)
+    assert entries[0]["lowest_V"] == [0.0, 5.0, 0.0]
+    assert all(max(entry["steepest_V_per_s"]) <= 200.0 * (1 + 1e-9) for entry in entries)
 
 
 PLAIN = dehyst.Actuator(MaxwellSlip([1e-6, 3e-6], [1e6, 5e5]), Spring([0.0, 9e-6], [0.0, 60.0]))
