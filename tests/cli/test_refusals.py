@@ -37,7 +37,7 @@ REFUSED = {
     "identify plan.csv": ("", "computed"),
     "check loops.csv model.json": ("", "loops.csv"),
     "update model.json loops.csv -o model.json": ("", "model.json"),
-    "insight stage.json stage.csv --trajectory path.csv": ("", 'Give the column as "x=NAME"'),
+    "insight stage.json stage.csv --trajectory path.csv": ("", '"x=DISPLACEMENT"'),
     "show model.json -o out.csv": "output",
     "show loops.csv --columns @absent.txt": "columns",
     "show stage.csv --columns time=vx_V:x_um,y=vy_V:y_um": ("axes", "time"),

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from dehyst.cli.command import run_command
 from dehyst.instruments import Samples
 from dehyst.operations import registry
+from dehyst.operations.axes import of_axes
 from dehyst.operations.bench import Steps
 from dehyst.operations.command import (
     HOUSE,
@@ -108,8 +109,8 @@ def test_an_option_without_effect_is_refused(words, argument):
 def test_options_hold_for_all_axes_or_for_one():
     words = ["--limits", "0", "100", "--limits", "x=-5", "120", "--slew-rate", "none", "--slew-rate", "y=5"]
     given = context_of(["export", "model.json", "c", *words]).params
-    assert given["limits"].of("xy") == [(-5, 120), (0, 100)]
-    assert given["slew_rate"].of("xy") == [float("inf"), 5]
+    assert of_axes("limits", given["limits"], "xy") == [(-5, 120), (0, 100)]
+    assert of_axes("slew_rate", given["slew_rate"], "xy") == [float("inf"), 5]
 
 
 COMMANDS = dict(commands())

@@ -318,7 +318,7 @@ async def test_a_record_of_several_axes_is_identified_and_followed(stage):
     second = {**SHOWN, "voltage_V": [-5, 120], "usable": False, "problems": ["short"]}
     parts = {"x": {**SHOWN, "problems": []}, "y": second}
     entry = stage.session.add_record("uploads/two.csv", "two.csv")
-    await stage.next(Finished(parts))
+    await stage.next(Finished({"axes": parts}))
     assert (entry.status, entry.axes, entry.voltage) == ("ready", ["x", "y"], [-5, 120])
     assert (entry.problems, entry.usable) == (["y: short"], False)
     model = stage.session.identify({"train": [entry.id]})

@@ -56,7 +56,7 @@ def insight(
         of_path = replace(of_path, voltage=None, hold=None, join=None)
         path, warmth, clock = read_path(known, trajectory, of_path, zero)
         when = {"time": clock.get("time_s"), "temperature": warmth}
-        plan = known.planned(plan_path, path, limits.of(known.axes), known.slews(slew_rate), **when)
+        plan = known.planned(plan_path, path, known.of("limits", limits), known.slews(slew_rate), **when)
     training = [known.record(path, columns) for path in records]
     assessed: Any = insight_one(known.model, training, plan=plan, progress=run.progress)
     if report is not None:

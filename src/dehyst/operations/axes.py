@@ -20,8 +20,7 @@ from dehyst.operations.files import AS_FOUND, RECORD, Columns, columns_in, is_mo
 from dehyst.operations.run import Run
 from dehyst.records import Record, Table, read, read_table
 from dehyst.records.columns import columns_of_axis
-from dehyst.records.formats.column import listed
-from dehyst.records.tables import ColumnError, chosen
+from dehyst.records.files import selected
 
 Limits = tuple[float, float] | None
 
@@ -37,27 +36,17 @@ class _AxisNumber(click.ParamType):  # type: ignore[type-arg]
         return axis, math.inf if text == "none" else NUMBER.convert(text, param, ctx)
 
 
-@dataclass(frozen=True)
-class OfAxes:
-    """Values of an option, each with its axis, or with "" for all axes."""
+# Values of an option by axis; "" stands for all axes.
+OfAxes = dict[str, Any]
 
-    name: str
-    given: Sequence[tuple[str, Any]] = ()
 
-    def of(self, axes: Sequence[str]) -> list[Any]:
-        """Return the value of each axis: its own, the common one, or None.
-
-        Raise `ModelError` for an axis that is unknown or given twice.
-        """
-        found: dict[str, Any] = {}
-        for axis, value in self.given:
-            if axis in found:
-                raise ModelError(argument=self.name, got=f"{axis or 'a value for all axes'} twice", need="it once")
-            if axis and axis not in axes:
-                known = f"one of {', '.join(axes)}" if any(axes) else "none, as there is one axis"
-                raise ModelError(argument=self.name, got=f"the axis {axis}", need=known)
-            found[axis] = value
-        return [found.get(axis, found.get("")) for axis in axes]
+def of_axes(name: str, given: OfAxes, axes: Sequence[str]) -> list[Any]:
+    """Return the value of each axis for the option of a `name`: its own, the common one, or None."""
+    for axis in given:
+        if axis and axis not in axes:
+            known = f"one of {', '.join(axes)}" if any(axes) else "none, as there is one axis"
+            raise ModelError(argument=name, got=f"the axis {axis}", need=known)
+    return [given.get(axis, given.get("")) for axis in axes]
 
 
 def axes_option(text: str, metavar: str, *only: Condition) -> Any:
@@ -76,9 +65,14 @@ def limits_option(text: str, *only: Condition) -> Any:
     return option(text, kinds, *only, multiple=True, metavar="[AXIS=]LOW HIGH", callback=_of_axes)
 
 
-def _of_axes(_: click.Context, option: click.Parameter, given: Sequence[Any]) -> OfAxes:
-    pairs = [each if isinstance(each[0], str) else (each[0][0], (each[0][1], each[1])) for each in given]
-    return OfAxes(str(option.name), pairs)
+def _of_axes(ctx: click.Context, option: click.Parameter, given: Sequence[Any]) -> OfAxes:
+    found: OfAxes = {}
+    for each in given:
+        axis, value = each if isinstance(each[0], str) else (each[0][0], (each[0][1], each[1]))
+        if axis in found:
+            raise click.BadParameter(f"got {axis or 'a value for all axes'} twice, need it once", ctx, option)
+        found[axis] = value
+    return found
 
 
 def is_stage(path: Path) -> bool:
@@ -133,12 +127,16 @@ class AxesModel:
         """Whether arrays have a column for each axis, as those of a stage."""
         return self.model is self.stage
 
-    def slews(self, given: OfAxes = OfAxes("slew_rate")) -> list[float | None]:
+    def of(self, name: str, given: OfAxes) -> list[Any]:
+        """Return the value of each axis for the option of a `name`, see `of_axes`."""
+        return of_axes(name, given, self.axes)
+
+    def slews(self, given: OfAxes) -> list[float | None]:
         """Return the largest slew rate [V/s] of each axis: the given one, else that of the model, with a remark.
 
         None: a path has its own speed.
         """
-        rates = given.of(self.axes)
+        rates = self.of("slew_rate", given)
         kept = [actuator.identification.allowed_slew_rate for actuator in self.actuators]
         words = "slew rate: at most {:.4g} V/s, which the model keeps; --slew-rate sets another"
         used = [own if rate is None else None for own, rate in zip(kept, rates, strict=True)]
@@ -228,17 +226,10 @@ class AxesModel:
 
     def values(self, table: Table, quantity: str, columns: Columns) -> Array:
         """Return a quantity (n, axes) of a table: from the given columns, or by the usual names."""
-        if not self.several:
-            return numbers_in(table, quantity, chosen(table, columns, (quantity,))[quantity].values)[:, None]
-        names = self.named(quantity, columns)
-        if len({*names.values()}) < len(names):
-            got = ", ".join(f"{axis}={name}" for axis, name in names.items())
-            raise FileFormatError(argument="axes", got=got, need="a column of its own for each axis")
+        names = self.named(quantity, columns) if self.several else {"": getattr(columns, quantity)}
         found = []
         for axis, name in names.items():
-            try:
-                found.append(numbers_in(table, quantity, table.column(quantity, name)))
-            except ColumnError as error:
-                hint = f'the file holds {listed(table.names)}. Give the column as "{axis}=NAME"'
-                raise FileFormatError(f"axis {axis}: {error.message}", hint=hint, change=("columns",)) from error
+            own: dict[str, Any] = {"axes": {}, quantity: name}
+            chosen = selected(table, replace(columns, **own), axis, (quantity,))[quantity]
+            found.append(numbers_in(table, quantity, chosen.values))
         return np.column_stack(found)

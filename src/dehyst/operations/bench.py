@@ -19,7 +19,7 @@ from dehyst.calibration.plan import steps
 from dehyst.calibration.session import ProgressListener
 from dehyst.identification import Fit
 from dehyst.instruments import AbstractRig, Samples, open_rig
-from dehyst.operations.axes import OfAxes, limits_option, slew_option
+from dehyst.operations.axes import OfAxes, limits_option, of_axes, slew_option
 from dehyst.operations.command import CONTINUED, argument, command, flag, number, option, output
 from dehyst.operations.paths import bounds_remarks
 from dehyst.operations.run import Result, Run
@@ -93,7 +93,7 @@ def calibrate(
     """
     names = _names(rig, axes)
     every = names or [""]
-    allowed, rates = limits.of(every), slew_rate.of(every)
+    allowed, rates = of_axes("limits", limits, every), of_axes("slew_rate", slew_rate, every)
     steepest = [None if rate == math.inf else rate for rate in rates]
     plan = Plan(frequency=frequency, goal=goal)
     if not dry_run and not (output / "records").is_dir():

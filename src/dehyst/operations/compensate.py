@@ -45,7 +45,7 @@ def compensate(
     limits: OfAxes = limits_option("Allowed voltages [V]; default: the records'."),
     slew_rate: OfAxes = slew_option("Largest slew rate [V/s]; default: the model's, or none."),
     zero: float | None = ZERO,
-    start: str | Path | None = START,
+    start: Path | None = START,
     home: bool | None = option("Home first; default: if the start matters.", words="--home/--no-home", default=None),
     home_within: float | None = number("Longest homing, with the way to the path [s].", _homes),
     present: OfAxes = axes_option("Present voltage [V]; default: that of --start, or 0.", "[AXIS=]V"),
@@ -72,7 +72,7 @@ def compensate(
     known = AxesModel.read(run, model)
     if on_time is not None and not any(actuator.delay for actuator in known.actuators):
         raise ModelError("has no effect on a model without a delay", argument="on_time", hint="leave it out")
-    allowed, volts, slews = limits.of(known.axes), present.of(known.axes), known.slews(slew_rate)
+    allowed, volts, slews = known.of("limits", limits), known.of("present", present), known.slews(slew_rate)
     begins, found = starts_of(known, start, allowed, columns, volts), None
     wanted, warmth, clock = read_path(known, trajectory, columns, zero)
     known.remark(reach_remarks(known, wanted, allowed, zero, warmth))

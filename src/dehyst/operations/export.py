@@ -65,10 +65,8 @@ def export(
     if target.files is not None:
         demand_outputs([model], target.files(directory), force=run.force)
     known = AxesModel.read(run, model)
-    slews = known.slews(slew_rate)
-    compensator = Compensator(
-        known.model, limits.of(known.axes) if loop else ANY_VOLTAGE, slews, period=period, preview=preview
-    )
+    bounds, slews = known.of("limits", limits) if loop else ANY_VOLTAGE, known.slews(slew_rate)
+    compensator = Compensator(known.model, bounds, slews, period=period, preview=preview)
     if preview and not compensator.samples_ahead:
         raise ModelError("has no effect without a delay or inertia", argument="preview", hint="leave it out")
     known.remark(map(_remarks, compensator._axes))

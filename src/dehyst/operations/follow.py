@@ -73,7 +73,7 @@ def follow(
             hint = "nothing was moved; dehyst compensate says which path fits; --force follows this one"
             raise ModelError(words.removesuffix("."), argument="path", hint=hint)
 
-    allowed, slews = limits.of(known.axes), known.slews(slew_rate)
+    allowed, slews = known.of("limits", limits), known.slews(slew_rate)
     axes = known.axes if known.several else None
     asked: Any = [each if axes else each[0] for each in (allowed, slews)]
     with open_rig(rig, axes, limits=asked[0], slew_rate=asked[1]) as instrument:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -53,13 +51,13 @@ def show(
         run.say(line)
     record = record_of(table, columns, file.stem)
     own = columns.of_axes() if columns.axes else {"": columns}
-    axes = {axis: _AxisView(record.axis(axis), own[axis], axis) for axis in record.axes or ("",)}
+    axes = {axis: _fields(record.axis(axis), own[axis]) for axis in record.axes or ("",)}
     if output is not None:
         write_record(output, record)
     if save is not None:
         columns.save(save)
-    fields = {axis: {**view.fields(), "file_columns": file_columns} for axis, view in axes.items()}
-    lines = [line for view in axes.values() for line in view.lines()]
+    fields = {axis: {**found, "file_columns": file_columns} for axis, found in axes.items()}
+    lines = [line for axis, found in axes.items() for line in _lines(axis, found)]
     return Result({"axes": fields} if record.axes else fields[""], [*lines, *files(Record=output, Columns=save)])
 
 
@@ -67,6 +65,10 @@ def _span(values: Array) -> list[float]:
     """Return the lowest and the highest of the finite values; empty if there is none."""
     finite = values[np.isfinite(values)]
     return [float(finite.min()), float(finite.max())] if finite.size else []
+
+
+def _ends(span: list[float], unit: str = "") -> str:
+    return ends(span[0], span[1], unit) if span else "none"
 
 
 def _column_lines(table: Table) -> Iterator[str]:
@@ -82,74 +84,48 @@ def _column_lines(table: Table) -> Iterator[str]:
         yield f"  {column.name[:60]:<{width}}  {(column.parts[1] or '-')[:7]:<8}{words}"
 
 
-@dataclass(frozen=True)
-class _AxisView:
-    """How an axis of a record is understood."""
+def _fields(record: Record, columns: Columns) -> dict[str, Any]:
+    """Return how an axis of a record is understood, as JSON values."""
+    meta, unusable = record.meta, []
+    try:
+        record.check_usable()
+    except RecordError as error:
+        unusable = [f"Not usable for an identification: {error}."]
+    given = {quantity: name for quantity in ("voltage", "displacement") if (name := getattr(columns, quantity))}
+    return {
+        "name": record.name,
+        "columns": given | dict(meta.get("columns", {})),
+        **{name: meta.get(name, {}) for name in ("scales", "guesses")},
+        "samples": len(record),
+        "sample_rate_Hz": 1 / record.sample_time,
+        "duration_s": float(record.time[-1] - record.time[0]),
+        "voltage_V": list(record.voltage_range),
+        "displacement_um": _span(record.displacement * 1e6),
+        "others": {channel.column: _span(channel.values) for channel in record.others},
+        "noise_nm": 1e9 * record.noise if record.measured is None else None,
+        "cycles": len(record.cycles()),
+        "usable": not unusable,
+        "problems": [*unusable, *record.problems()],
+    }
 
-    record: Record
-    columns: Columns
-    name: str
 
-    def understood(self) -> list[tuple[str, str, str]]:
-        """Return each quantity, its column and its range, in words."""
-        record = self.record
-        used = {**{channel.name: channel.column for channel in record.others}, **record.meta.get("columns", {})}
-
-        def origin(quantity: str) -> str:
-            key = f"{quantity} of {self.name}" if self.name else quantity
-            scale = record.meta.get("scales", {}).get(key)
-            mark = " (guessed, verify)" if {quantity, key} & {*record.meta.get("guesses", ())} else ""
-            column = used.get(quantity) or getattr(self.columns, quantity) or quantity
-            return f"'{column}'{f', {scale}' if scale else ''}{mark}"
-
-        noise = "" if record.measured is not None else f", noise {digits(record.noise * 1e9)} nm"
-        moved = record.displacement[np.isfinite(record.displacement)]
-        ranges = {
-            "time": f"{ends(record.time[0], record.time[-1], 's')}, {1 / record.sample_time:.6g} Hz",
-            "voltage": f"{span_of(record.voltage, 'V')}, {counted(len(record.cycles()), 'cycle')}",
-            "displacement": f"{span_of(moved, 'um', 1e6)}{noise}",
-        }
-        for channel in record.others:
-            ranges[channel.name] = span_of(channel.values, channel.unit)
-        return [(quantity, origin(quantity), words) for quantity, words in ranges.items()]
-
-    def lines(self) -> Iterator[str]:
-        """Yield how the columns are understood, and suspicious properties."""
-        rows = self.understood()
-        width = max(len(column) for _, column, _ in rows)
-        yield ""
-        if self.name:
-            yield f"Axis {self.name}"
-        for quantity, column, words in rows:
-            yield f"{quantity + ':':<14}{column:<{width}}  {words}"
-        problems = [*self.unusable, *self.record.problems()]
-        yield ""
-        yield "Notes:" if problems else "No problems found."
-        yield from (f"  - {sentence}" for sentence in problems)
-
-    @cached_property
-    def unusable(self) -> list[str]:
-        """Why no loop can be identified from the record; empty if one can."""
-        try:
-            self.record.check_usable()
-        except RecordError as error:
-            return [f"Not usable for an identification: {error}."]
-        return []
-
-    def fields(self) -> dict[str, Any]:
-        """Return JSON values."""
-        record = self.record
-        return {
-            "name": record.name,
-            **{name: record.meta.get(name, {}) for name in ("columns", "scales", "guesses")},
-            "samples": len(record),
-            "sample_rate_Hz": 1 / record.sample_time,
-            "duration_s": float(record.time[-1] - record.time[0]),
-            "voltage_V": list(record.voltage_range),
-            "displacement_um": _span(record.displacement * 1e6),
-            "others": {channel.column: _span(channel.values) for channel in record.others},
-            "noise_nm": 1e9 * record.noise,
-            "cycles": len(record.cycles()),
-            "usable": not self.unusable,
-            "problems": [*self.unusable, *self.record.problems()],
-        }
+def _lines(axis: str, found: dict[str, Any]) -> Iterator[str]:
+    """Yield how the columns of an axis are understood, and suspicious properties."""
+    noise = "" if found["noise_nm"] is None else f", noise {digits(found['noise_nm'])} nm"
+    rows = {
+        "time": f"{ends(0.0, found['duration_s'], 's')}, {found['sample_rate_Hz']:.6g} Hz",
+        "voltage": f"{_ends(found['voltage_V'], 'V')}, {counted(found['cycles'], 'cycle')}",
+        "displacement": f"{_ends(found['displacement_um'], 'um')}{noise}",
+    }
+    origins = {}
+    for quantity in rows:
+        keys = {quantity, f"{quantity} of {axis}"}
+        scale = "".join(f", {words}" for key, words in found["scales"].items() if key in keys)
+        mark = " (guessed, verify)" if keys & {*found["guesses"]} else ""
+        origins[quantity] = f"'{found['columns'].get(quantity, quantity)}'{scale}{mark}"
+    rows |= {name: _ends(span) for name, span in found["others"].items()}
+    width = max(map(len, origins.values()))
+    yield from ("", f"Axis {axis}") if axis else ("",)
+    yield from (f"{name + ':':<14}{origins.get(name, ''):<{width}}  {words}" for name, words in rows.items())
+    yield from ("", "Notes:" if found["problems"] else "No problems found.")
+    yield from (f"  - {sentence}" for sentence in found["problems"])

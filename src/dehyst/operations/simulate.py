@@ -24,7 +24,7 @@ def simulate(
     model: Path = argument(),
     voltage: Path = argument(),
     output: Path = output("Write time, voltage and displacement here (CSV)."),
-    start: str | Path | None = START,
+    start: Path | None = START,
     columns: Columns = COLUMNS,
 ) -> Result:
     """Compute the displacement that the voltage in a VOLTAGE file causes; the output adds expected_um.

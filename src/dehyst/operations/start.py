@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 
+from dehyst._errors import ModelError
 from dehyst._io import COMPUTED
 from dehyst._text import counted, digits
 from dehyst._views.lines import place
@@ -17,7 +17,7 @@ from dehyst.control import PathPlan, PossibleStart
 from dehyst.control.planning.start import NAMES
 from dehyst.model import Actuator, creep_times, needs_time, voltages_of
 from dehyst.operations.axes import AxesModel, Limits
-from dehyst.operations.command import FilePath, Role, option
+from dehyst.operations.command import INPUT, option
 from dehyst.operations.files import AS_FOUND, Columns, columns_in
 from dehyst.records import Table, read_table
 from dehyst.records.columns import columns_of_axis
@@ -30,30 +30,13 @@ _COMPUTED = (
 )
 
 
-class _Start(FilePath):
-    """A name of `PossibleStart`, or a file with the voltages played before."""
-
-    def __init__(self) -> None:
-        super().__init__(Role.INPUT)
-        self.name = "start"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return a name as it is, or the path of a file."""
-        if value in NAMES:
-            return value
-        if not Path(value).exists():
-            need = f"{', '.join(NAMES)}, or a file of what was played before"
-            self.fail(f"got {value!r}, need {need}", param, ctx)
-        return super().convert(value, param, ctx)
-
-
 _METAVAR = f"{'|'.join(NAMES)}|FILE"
-START: Any = option("State before the first sample; default: unknown.", _Start(), metavar=_METAVAR)
+START: Any = option("State before the first sample; default: unknown.", INPUT, metavar=_METAVAR)
 
 
 def starts_of(
     known: AxesModel,
-    start: str | Path | None,
+    start: Path | None,
     limits: Sequence[Limits],
     columns: Columns,
     present: Sequence[float | None] = (),
@@ -67,10 +50,12 @@ def starts_of(
     """
     if start is None:
         return [None] * len(known.axes)
-    if isinstance(start, Path):
+    if str(start) in NAMES:
+        found = [PossibleStart.named(actuator, str(start)) for actuator in known.actuators]  # type: ignore[arg-type]
+    elif start.exists():
         found = _starts_in(known, start, limits, columns, rests=rests)
     else:
-        found = [PossibleStart.named(actuator, start) for actuator in known.actuators]  # type: ignore[arg-type]
+        raise ModelError(argument="start", got=str(start), need=f"{', '.join(NAMES)}, or a file of what was played")
     for j, volts in enumerate(present):
         found[j] = found[j] if volts is None else found[j].standing_at(known.actuators[j], volts)
     known.remark(begin.remarks for begin in found)

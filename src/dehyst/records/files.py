@@ -67,7 +67,7 @@ def read(path: PathLike, columns: Columns | str | None = None, *, name: str | No
 def record_of(table: Table, columns: Columns, name: str) -> Record:
     """Return the record in a table, see `read` and `table_of`; of several axes if `columns` names some."""
     axes = columns.of_axes() if columns.axes else {"": columns}
-    parts = {axis: _selected(table, own, axis) for axis, own in axes.items()}
+    parts = {axis: selected(table, own, axis, ("time", *_MEASURED)) for axis, own in axes.items()}
     if columns.temperature is not None:
         known = table.select("temperature", columns.temperature)
         named = Column("temperature_C", known.values, kept=True, guessed=known.guess)
@@ -156,15 +156,15 @@ def _further_channels(
     return list(found.values()), remarks
 
 
-def _selected(table: Table, columns: Columns, axis: str) -> dict[str, Selected]:
+def selected(table: Table, columns: Columns, axis: str, quantities: Sequence[str]) -> dict[str, Selected]:
     """Return the columns of an axis, which is empty if there is only one."""
     try:
-        return chosen(table, columns, ("time", *_MEASURED))
+        return chosen(table, columns, quantities)
     except ColumnsError as error:
         if not axis:
             raise
         # A proposal for one voltage and one displacement does not help here.
-        hint = f'the file holds {listed(table.names)}. Give the axis as "{axis}=VOLTAGE:DISPLACEMENT"'
+        hint = f'the file holds {listed(table.names)}. Give the axis as "{axis}={":".join(quantities[-2:]).upper()}"'
         raise FileFormatError(f"axis {axis}: {error.problems[0].message}", hint=hint, change=("columns",)) from error
 
 

@@ -146,7 +146,7 @@ class ModelEntry:
         self.slew_v_per_s = min((axis["slew_v_per_s"] for axis in each if axis["slew_v_per_s"]), default=None)
         tested = [own.identification.validity for own in known.actuators]
         self.fastest_v_per_s = min((v.speeds[1] for v in tested if v and v.speeds[1]), default=self.slew_v_per_s)
-        self.timed = any(map(needs_time, known.actuators)) or any(known.slews())
+        self.timed = any(map(needs_time, known.actuators)) or any(known.slews({}))
 
 
 def verdict_of(
