@@ -76,8 +76,7 @@ def test_a_model_of_the_major_loop_alone_has_a_warning(folder):
     promise = result("compensate", "major.json", "path.csv", "-o", "v.csv", cwd=folder)[1]["promise"]
     err = run("compensate", "major.json", "path.csv", "-o", "v.csv", cwd=folder)[2]
     assert promise["largest_percent"] > 1 and promise["untested"][0]["sentence"] in err
-    status, out, _ = run("insight", "major.json", "major.csv", "--trajectory", "path.csv", "--json", cwd=folder)
-    found = json.loads(out)
+    status, found = result("insight", "major.json", "major.csv", "--trajectory", "path.csv", cwd=folder)
     assert status == 1
     assert found["directions"]["determined"] == 5
     assert any("excite recommended" in command for command in found["record_next"])

@@ -1,6 +1,5 @@
 """A path is followed at its own speed; what leads to it keeps to that of the records, and a faster one is remarked."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -35,10 +34,8 @@ def folder(tmp_path_factory):
 def test_an_export_says_which_slew_rate_it_has(folder, model):
     words = ("export", f"{model}.json", f"c-{model}", "--force")
     for options, expected in {(): None, ("--slew-rate", 4000.0): 4000.0, ("--slew-rate", "none"): None}.items():
-        status, out, err = run(*words, "--period", 1e-3, *options, "--json", cwd=folder)
-        assert status == 0, err
-        found = json.loads(out)["slew_V_per_s"]
-        assert found == (dict.fromkeys("xy", expected) if model == "stage" else expected)
+        status, made = result(*words, "--period", 1e-3, *options, cwd=folder)
+        assert status == 0 and made["slew_V_per_s"] == (dict.fromkeys("xy", expected) if model == "stage" else expected)
 
 
 def jumps(result):
