@@ -131,7 +131,7 @@ def test_every_target_except_the_fmu_is_tested():
 def test_a_target_writes_the_declared_files_with_the_same_content_again(suffix, tmp_path):
     status, values, path = exported(tmp_path / "a", PLAIN, f"stage{suffix}")
     before = content(path)
-    assert (status, values["path"]) == (0, str(path)), values
+    assert status == 0, values
     made = path.iterdir() if path.is_dir() else path.parent.iterdir()
     assert set(values["files"]) == {str(path) for path in made if path.name != "model.json"}
     # In another folder, over the same and beside a file of somebody else.
