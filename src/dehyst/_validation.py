@@ -51,7 +51,7 @@ def untimely(time: Array, samples: int) -> str:
     if time.size != samples:
         return f"time: got {time.size} values for {samples} samples, need one per sample"
     k = int(np.argmax(np.diff(time) <= 0)) + 1
-    got = f"got {time[k]:.9g} s after {time[k - 1]:.9g} s at value {k}"
+    got = f"got {time[k]:.9g} s after {time[k - 1]:.9g} s in row {k + 1} of {samples}"
     return f"time: {got}, need strictly increasing times; sort the samples, and leave out those that repeat a time"
 
 

@@ -113,7 +113,7 @@ def identify_fleet(
     if target.suffix.lower() != ".parquet":
         raise FileFormatError(argument="output", got=f"{target}", need="a name that ends in .parquet")
     paths = _named(records, target)
-    rows = {row["record"]: row for row in ([] if again else _rows_of(target))}
+    rows = {row["record"]: row for row in _rows_of(target) if not again}
     missing = {name: path for name, path in paths.items() if name not in rows}
     if missing:
         with _writing(target, rows, len(missing), report) as keep, _connected(scheduler) as client:

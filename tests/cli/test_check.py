@@ -39,7 +39,7 @@ def test_each_check_adds_a_row_to_the_log_and_another_table_is_refused(folder):
     assert (first["promise_kept"], second["goal_percent"]) == ("yes", "1")
     assert (first["record"], second["record"]) == ("same", "gain")
     assert first["changes"] == "" and second["changes"].startswith("gain +")
-    for log, *force in (["other.csv"], ["same.csv", "--force"]):
+    for log, *force in (["other.csv"], ["other.csv", "--force"], ["same.csv", "--force"]):
         before = (folder / log).read_bytes()
         assert run("check", "model.json", "same.csv", "--log", log, *force, cwd=folder)[:2] == (2, "")
         assert (folder / log).read_bytes() == before

@@ -111,14 +111,14 @@ _LOGGED += ",promise_kept,changes"
 
 
 def _read_log(path: Path, *, again: bool) -> bytes:
-    """Return the table of checks, or the header of a new one; raise `FileFormatError` for any other table."""
+    """Return the table of checks, or the header of a new one; raise `FileFormatError` for any other file."""
     try:
-        before = (path.read_bytes() if path.exists() and not again else b"") or _LOGGED.encode()
+        before = (path.read_bytes() if path.exists() else b"") or _LOGGED.encode()
     except OSError as error:
         raise unwritten(path, error) from error
     if before.split(b"\n")[0].rstrip() != _LOGGED.encode():
         raise FileFormatError(f"{path}: is not a table that --log has written; give another name with --log")
-    return before
+    return _LOGGED.encode() if again else before
 
 
 def _append_checks(path: Path, before: bytes, checks: Mapping[str, Recheck]) -> None:

@@ -163,8 +163,9 @@ def _head(known: AxesModel, followed: FollowedPath) -> str:
         for error, promise, stroke in zip(followed.promised, followed.promises, strokes, strict=True)
         if error is not None and promise is not None
     ]
+    late = " and a delay" * any(promise is not None and promise.delay > 0 for promise in followed.promises)
     if judged:
-        head += f"; without an offset and a delay, which the promise leaves out, {', '.join(judged)}"
+        head += f"; without an offset{late}, which the promise leaves out, {', '.join(judged)}"
     head += f"; the sensor's noise is {noise} RMS"
     if any(followed.clamps):
         head += f"; {followed.clamps.limited} samples were clamped at a limit, {followed.clamps.slewed} slewed"

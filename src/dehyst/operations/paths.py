@@ -24,6 +24,8 @@ from dehyst.records.formats.column import listed
 from dehyst.records.record import Channel
 
 ZERO = number("Zero of the path [um of the sensor]; default: the sensor's.")
+# A path that moves by less than this part of the reach may be in another unit.
+_SMALL = 0.01
 # A path may be outside the reachable range by this part of it without a remark.
 _ROUNDING = 1e-6
 # Largest difference of the steps of time, as a part of their median.
@@ -133,6 +135,8 @@ def reach_remarks(
         advice = "choose another --zero" if fits else "choose a smaller path"
         if fits and zero is None:
             advice = f"--zero {0.5 * (low + high - least - most):.4g} puts it into the middle"
+        if most - least < _SMALL * (high - low):
+            advice = f"check the unit, as it moves by less than a hundredth of the reach, or {advice}"
         reached = f"the model reaches {ends(low, high, 'um')}, from the sensor's zero in its records"
         if axis.strays((target - offset) / gain):
             hint = f"check the numbers and their unit, or {advice}"

@@ -56,9 +56,13 @@ def starts_of(
         found = _starts_in(known, start, limits, columns, rests=rests)
     else:
         raise ModelError(argument="start", got=str(start), need=f"{', '.join(NAMES)}, or a file of what was played")
-    for j, volts in enumerate(present):
-        found[j] = found[j] if volts is None else found[j].standing_at(known.actuators[j], volts)
     known.remark(begin.remarks for begin in found)
+    for j, volts in enumerate(present):
+        if volts is not None:
+            last = _volts(known.actuators[j], known.actuators[j].voltage(found[j].state))
+            words = f"{found[j].name} ends at {last}: the actuator is taken to have moved from there to {volts:.4g} V"
+            known.run.remarks.append(words)
+            found[j] = found[j].standing_at(known.actuators[j], volts)
     return [*found]
 
 

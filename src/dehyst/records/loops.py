@@ -75,7 +75,7 @@ def leading(record: Record, cycles: list[Span]) -> str:
         return _shift(record, early)
     return (
         "the displacement leads the voltage in the loops: either the columns look swapped, check which is which; or "
-        "the samples look reversed in time, turn them round, such as record.displacement[::-1]"
+        "the samples look reversed in time, turn the order of the rows round (in Python: array[::-1])"
     )
 
 

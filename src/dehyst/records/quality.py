@@ -61,7 +61,7 @@ def not_rising(time: Array, voltage: Array, displacement: Array) -> str:
         v, y = (values.reshape(time.size, -1)[:, 0] for values in (voltage, displacement))
         way = loops.sense(v, y)
         sign = f"the time has the wrong sign: give rate={rate:.6g} in its place if the samples are even"
-        turn = "the samples are in reverse order: turn them round, such as array[::-1]"
+        turn = "the samples are in reverse order: turn the order of the rows round (in Python: array[::-1])"
         remedy = f"by the sense of the loops, {sign if way > 0 else turn}" if way else f"either {turn}; or {sign}"
         return f"the time falls from sample to sample, from {time[0]:.9g} s to {time[-1]:.9g} s; {remedy}"
     begins = np.flatnonzero(steps < 0.0) + 1

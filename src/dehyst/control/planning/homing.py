@@ -206,7 +206,7 @@ class _TimedHoming:
                 remedy = f"holds of {needed:.3g} s at both limits instead of {wait:.3g} s would suffice"
             stroke, least = stroke_of(self.actuator), self.tolerance
             yield (
-                f"this homing leaves an error of up to {percent(spread, stroke, least)} of the stroke on a path, need "
+                f"this homing leaves up to {percent(spread, stroke, least)} of the stroke on the worst path, need "
                 f"{percent(least, stroke)}{reasons and f', as this actuator {reasons}'}; {remedy}"
             )
         if not keeps_order(self.actuator):
