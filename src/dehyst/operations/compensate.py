@@ -140,10 +140,7 @@ def _table_words(found: WaveTable, delay: float) -> str:
 
 
 def _period(wanted: Array, rate: float, warmth: Array | None) -> ScanPath:
-    """Return a path (n,) [m] that ends where it begins as one period, with the derivatives of its periodic spline.
-
-    Raise `ModelError` or `RecordError` if it is not periodic, or depends on temperature.
-    """
+    """Return a path (n,) [m] that ends where it begins as one period, with the derivatives of its periodic spline."""
     from scipy.interpolate import CubicSpline
 
     if warmth is not None:

@@ -24,16 +24,14 @@ from dehyst.records.formats.column import listed
 from dehyst.records.record import Channel
 
 ZERO = number("Zero of the path [um of the sensor]; default: the sensor's.")
-# A path that moves by less than this part of the reach may be in another unit.
-_SMALL = 0.01
 # A path may be outside the reachable range by this part of it without a remark.
 _ROUNDING = 1e-6
 # Largest difference of the steps of time, as a part of their median.
 _UNEVEN = 1e-3
 # A path whose ends differ by more than this multiple of its largest step has a way back.
 _CLOSED = 1.5
-# Part of the stroke above which the reason of a promised error is given.
-_LARGE = 0.01
+# A promise above this part of the stroke gets its reason; a path of less than this part may be in another unit.
+_SMALL = 0.01
 
 
 def bounds_remarks(limits: Limits, slew_rate: float | None, used: VoltageLimits, who: str) -> list[str]:
@@ -48,7 +46,7 @@ def bounds_remarks(limits: Limits, slew_rate: float | None, used: VoltageLimits,
 
 def reason_of(promise: Promise | None) -> list[str]:
     """Return why a model is not usable for a path, or what a promise above 1 % of the stroke comes from."""
-    if promise is None or promise.largest <= _LARGE * promise.stroke:
+    if promise is None or promise.largest <= _SMALL * promise.stroke:
         return []
     if promise.unusable:
         return [promise.unusable]

@@ -45,8 +45,7 @@ def simulate(
     outsides = [outside_identified(*pair, refuse=False) for pair in zip(known.actuators, given.T, strict=True)]
     known.remark(outside.warnings for outside in outsides)
     known.remark(path.warnings for path in each)
-    delays = [actuator.delay for actuator in known.actuators]
-    known.remark([_LATE.format(1e3 * delay)] if delay else [] for delay in delays)
+    known.remark([_LATE.format(1e3 * axis.delay)] if axis.delay else [] for axis in known.actuators)
     known.remark(map(open_start, each))
     fields = {
         "samples": len(given),

@@ -19,7 +19,7 @@ from dehyst.model import Actuator, creep_times, needs_time, voltages_of
 from dehyst.operations.axes import AxesModel, Limits
 from dehyst.operations.command import INPUT, option
 from dehyst.operations.files import AS_FOUND, Columns, columns_in
-from dehyst.records import Table, read_table
+from dehyst.records import read_table
 from dehyst.records.columns import columns_of_axis
 from dehyst.records.files import record_of
 from dehyst.trust import start_of
@@ -60,8 +60,7 @@ def starts_of(
     for j, volts in enumerate(present):
         if volts is not None:
             last = _volts(known.actuators[j], known.actuators[j].voltage(found[j].state))
-            words = f"{found[j].name} ends at {last}: the actuator is taken to have moved from there to {volts:.4g} V"
-            known.run.remarks.append(words)
+            known.run.remarks.append(f"{found[j].name} ends at {last}; a motion from there to {volts:.4g} V is assumed")
             found[j] = found[j].standing_at(known.actuators[j], volts)
     return [*found]
 
@@ -72,7 +71,13 @@ def _starts_in(
     """Return the start of each axis from a file. Displacements written by dehyst are not measured, and not used."""
     table, name = read_table(path, columns), path.name
     own = {f"{axis}_{COMPUTED}" if axis else COMPUTED for axis in known.axes} <= set(table.names)
-    used = AS_FOUND if own else _columns_of(known, table, columns)
+    used = AS_FOUND
+    if known.several and not own:
+        both = columns.axes and all(len(columns_of_axis(text)) == 2 for text in columns.axes.values())
+        used = columns if both else replace(columns, axes=known.recorded())
+    elif not own:
+        # Given columns are those of the path, and this file may have others.
+        used = columns_in(columns, table)
     moved = known.named("displacement", used).values() if known.several else [used.displacement]
     measured = not own and all(table.fitting("displacement", column) == 1 for column in moved)
     record = record_of(table, used, name) if measured else None
@@ -87,14 +92,6 @@ def _starts_in(
         found = found.standing_at(actuator, float(volts[-1, j])) if rests else found
         starts.append(replace(found, name=name, remarks=(*found.remarks, *[f"{name}: {_COMPUTED}"] * own)))
     return starts
-
-
-def _columns_of(known: AxesModel, table: Table, columns: Columns) -> Columns:
-    """Return the columns of a start; given ones are those of the path, and this file may have others."""
-    if not known.several:
-        return columns_in(columns, table)
-    both = columns.axes and all(len(columns_of_axis(text)) == 2 for text in columns.axes.values())
-    return columns if both else replace(columns, axes=known.recorded())
 
 
 def _volts(actuator: Actuator, voltage: float) -> str:
