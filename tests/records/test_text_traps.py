@@ -26,8 +26,12 @@ def is_right(record):
     )
 
 
+# More whole numbers than are read at once, before a number with a sign.
+MANY = "a;b\n" + "1;2\n" * 60_000 + "{};2\n"
 # Text, the decimal sign that the user states, and the columns that are read; others have a fault.
 READ = {
+    **{f"a late sign, {cell}": (MANY.format(cell), "", {"b": [2] * 60_001}) for cell in ("1.234", "1.5", "1,5")},
+    "a late sign that is stated": (MANY.format("1,5"), "comma", {"a": [1] * 60_000 + [1.5], "b": [2] * 60_001}),
     "a zero before": ("a;b;c;d\n0,010;1,000;-0,5;,5\n", "", {"a": [0.010], "b": [1.0], "c": [-0.5], "d": [0.5]}),
     "four digits before": ("a;b\n1234,567;1,234\n", "", {"a": [1234.567], "b": [1.234]}),
     "an exponent": ("a;b\n1,5E-3;1,234E+3\n", "", {"a": [1.5e-3], "b": [1234]}),
@@ -255,15 +259,3 @@ def test_data_in_place_of_a_file_name_is_not_printed(use, kind):
     with pytest.raises(DehystError, match=r"dehyst\.Record\.from_arrays") as caught:
         use(kind({"time_s": T, "voltage_V": V, "displacement_um": UM} if kind is pd.DataFrame else T))
     assert len(str(caught.value)) < 200
-
-
-@pytest.mark.parametrize(
-    ("cell", "decimal", "read_as"), [("1.234", "", None), ("1,5", "", None), ("1.5", "point", 1.5)]
-)
-def test_a_sign_that_comes_late_is_not_guessed(tmp_path, cell, decimal, read_as):
-    """Behind the rows that show the decimal sign, here whole numbers."""
-    (tmp_path / "a.csv").write_text("a;b\n" + "1;2\n" * 60_000 + f"{cell};3\n")
-    table = read_table(tmp_path / "a.csv", Columns.parse(f"decimal={decimal}") if decimal else None)
-    first, second = table.columns
-    assert (second.data.size, second.data[-1], bool(first.fault)) == (60_001, 3, read_as is None)
-    assert first.data[-1:].tolist() == [read_as] * bool(read_as)
