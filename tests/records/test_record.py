@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from dehyst._errors import FileFormatError, RecordError
 from dehyst._units import per_metre
+from dehyst._views.lines import ends
 from dehyst.records import Record, read, reversals, write_record
 from dehyst.records.record import columns_of
 from dehyst.records.signals import beyond_noise, resolution, turning_points, white_noise
@@ -254,6 +255,10 @@ def test_impossible_values_are_refused(column, factor, tmp_path):
         with pytest.raises(FileFormatError, match=r"got .*, need .*time"):
             read(tmp_path / "a.csv")
         assert len(read(tmp_path / "a.csv", "rate=1000")) == len(record)
+
+
+def test_a_range_is_written_alike_from_numbers_of_numpy_and_python():
+    assert ends(np.float64(0), np.float64(167.65)) == ends(0.0, 167.65) == "0 to 167.7"
 
 
 def test_the_channels_of_a_record_have_names_units_and_roles():

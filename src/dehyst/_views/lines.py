@@ -29,8 +29,8 @@ def _shown(value: object) -> str:
 def place(value: float, width: float) -> str:
     """Return a number of a range as text, with decimals to a thousandth of the range's `width`: "16.15", "0"."""
     decimals = min(12, max(0, 3 - floor(log10(width)))) if 0 < width < inf else 6
-    # The sum with 0 removes the minus of -0.
-    return f"{round(value, decimals) + 0.0:.15g}"
+    # NumPy rounds its numbers otherwise; the sum with 0 removes the minus of -0.
+    return f"{round(float(value), decimals) + 0.0:.15g}"
 
 
 def ends(low: float, high: float, unit: str = "") -> str:

@@ -174,8 +174,7 @@ class Columns:
             value = getattr(self, key)
             if not isinstance(value, str | None) or (value is not None and not value.strip()):
                 raise FileFormatError(argument=key, got=repr(value), need="the name of a column, as 'voltage_V'")
-            if value is not None:
-                Entry.of(value)
+            Entry.of(value or "")
         _ABOVE_0(self.rate, "rate")
         for key, known in (("decimal", ("point", "comma")), ("hold", HOLDS)):
             if getattr(self, key) is not None:
@@ -218,10 +217,10 @@ class Columns:
     def demand(self, keys: Sequence[str], words: str, *, axes: bool = False) -> None:
         """Raise an error for keys without an effect; with `axes`, each axis states its own columns."""
         known = [key for key in keys if not (axes and key in ("voltage", "displacement"))]
-        wrong = [key for key in self.entries() if key not in (*known, *(self.axes if axes else ()))]
-        if wrong:
-            got = f"{wrong[0]} has no effect {words}"
-            raise FileFormatError(got, argument="columns", hint=f"leave it out; known are {', '.join(known)}")
+        for key in self.entries():
+            if key not in (*known, *(self.axes if axes else ())):
+                hint = f"leave it out; known are {', '.join(known)}"
+                raise FileFormatError(f"{key} has no effect {words}", argument="columns", hint=hint)
 
     def of_axes(self) -> dict[str, Columns]:
         """Return the columns of each of two or more axes; raise `FileFormatError` if they are stated wrongly."""

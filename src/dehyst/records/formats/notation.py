@@ -95,9 +95,10 @@ def _shown(before: int, block: list[str], delimiter: str | None, sign: str) -> t
     return first, False
 
 
-# A time of day after a date or alone, its fraction, and its offset from UTC; the longest timestamp.
+# A time of day after a date or alone, its fraction, its half of a day, and its offset from UTC; the longest timestamp.
 _STAMP = re.compile(
-    r"(\d{4}([-/])\d\d\2\d\d[T ])?(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?\s*(Z|([+-]\d\d):?(\d\d))?", re.ASCII
+    r"(\d{4}([-/])\d\d\2\d\d[T ])?(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?\s*([AP]M)?\s*(Z|([+-]\d\d):?(\d\d))?",
+    re.ASCII | re.IGNORECASE,
 )
 _LONGEST = 64
 _DAY, _HOUR = 86_400, 3600
@@ -115,13 +116,14 @@ class Moment(NamedTuple):
 def moment(cell: str) -> Moment:
     """Return a timestamp: year, month, day and the time of day, or this alone; raise ValueError for any other text."""
     match = is_moment(cell)
-    if match is None:
+    if match is None or (match[7] and not 1 <= int(match[3]) <= 12):
         raise ValueError(cell)
-    day, _, hours, minutes, whole, fraction, zone, ahead, more = match.groups()
+    day, _, hours, minutes, whole, fraction, half, zone, ahead, more = match.groups()
+    hour = int(hours) % 12 + 12 * (half.upper() == "PM") if half else int(hours)
     origin = ("UTC" if zone else "local time") if day else ("midnight UTC" if zone else "midnight")
     offset = _HOUR * int(ahead) + 60 * int(ahead[0] + more) if ahead else 0
     days = date.fromisoformat(day[:10].replace("/", "-")).toordinal() - _FIRST_DAY if day else 0
-    seconds = _DAY * days + _HOUR * int(hours) + 60 * int(minutes) + int(whole) - offset
+    seconds = _DAY * days + _HOUR * hour + 60 * int(minutes) + int(whole) - offset
     return Moment(origin, 1_000_000_000 * seconds + int(f"{fraction or '':0<9.9}"))
 
 

@@ -133,10 +133,9 @@ def layout_of(written: list[str], decimal: str | None = None) -> Layout:
     over = [line for line in lines[begin:place] if line.number < heading.first and line.text not in heading.header]
     if faulty := [line for line in over if shape.is_row(line.cells)]:
         raise FileFormatError(f"row {faulty[0].number + 1} holds numbers above the names; correct or remove it")
-    rest = [line.number for line in lines if line.number >= heading.first]
-    # A row that looks like a comment: #N/A,1,2.
-    marked = [line.number for line in comments if not is_comment(line.cells, shape.width, delimiter)]
-    first = min(rest + [number for number in marked if number >= heading.first])
+    # A row may look like a comment: #N/A,1,2.
+    filled = [line.number for line in [*lines, *comments] if not is_comment(line.cells, shape.width, delimiter)]
+    first = min((number for number in filled if number >= heading.first), default=heading.first)
     above = (*written[:first], *heading.above)
     # Only the line of names ends with a separator.
     empty = not heading.names[-1] and len(heading.names) > len(cells_of(written[first].strip(), delimiter))
