@@ -4,7 +4,6 @@ import json
 from dataclasses import replace
 
 import numpy as np
-import places
 import plain_records
 import pytest
 from command_line import run
@@ -18,7 +17,6 @@ from dehyst.model import turned
 from dehyst.records import write_columns
 from dehyst.records.cleaning import glitches, settled, spikes, transients, voltage_steps, zero_jumps
 
-DATA = places.DATA
 PLANTS = [plain_records.plant(10, share=share, seed=i) for i, share in enumerate((0.1, 0.4, 0.7))]
 CLEAN = plain_records.loops(plain_records.plant(10), plain_records.THREE_LOOPS, noise=5e-9, name="loops")
 SMOOTH = ("sine", "triangle", "descending", "random")
