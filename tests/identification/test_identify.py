@@ -14,6 +14,8 @@ import dehyst
 from dehyst import Actuator, IdentifyError, Record, RecordError
 from dehyst.identification import Deadline, Structure
 from dehyst.model import Outcome, turned
+from dehyst.virtual import PlayActuator
+from dehyst.waveforms import Sampling, raised_cosine
 from examples import at_night
 
 PLANT, STROKE = plain_records.plant(10), plain_records.STROKE
@@ -52,6 +54,17 @@ def test_the_initial_positions_of_carts_have_no_effect(seed):
     y = plain_records.path((0.4, *plain_records.THREE_LOOPS))
     state = plain_records.any_state(PLANT, float(y[0]), seed)
     assert_recovered(dehyst.identify(plain_records.record(PLANT, y, state=state), structure=TEN), PLANT)
+
+
+def test_a_single_loop_is_identified_as_after_equal_loops():
+    truth = PlayActuator(plays=60)
+    loops = raised_cosine(truth.highest, cycles=2, drive=Sampling(0.1, sample_rate=100.0))
+    whole = Record(loops.time, loops.voltage, truth.play(loops.voltage))
+    fit = dehyst.identify(whole[1000:])
+    assert fit.errors[0].rms < 1e-3 * truth.stroke
+    moved = fit.simulate(loops.voltage).displacement - whole.displacement
+    assert np.ptp(moved[1000:]) < 5e-3 * truth.stroke
+    assert "motion before the record" in fit.options["records"][0]["guesses"]
 
 
 @cache

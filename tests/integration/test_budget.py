@@ -21,7 +21,7 @@ ROOMS = {
     "exports": 1265,
     "fleet": 310,
     "foundation": 1325,
-    "identification": 5785,
+    "identification": 5809,
     "instruments": 2434,
     "model": 3370,
     "operations": 2671,

@@ -46,7 +46,7 @@ class Expectation:
     promise : Promise
         Promised error of any path like the records.
     measured : float
-        Measured RMS error of the records that determine the promise [m].
+        RMS error of the records that determine the promise [m].
     noise : float
         Standard deviation of the sensor [m].
     goal : float
@@ -253,7 +253,7 @@ def expectation(
     judged, basis = (
         (validation, "validation records") if by_others else (training, "parts of the records held out in turn")
     )
-    measured = max(error.settled_rms for error in judged)
+    measured = max(error.rms for error in judged)
     reasons = [*caveats]
     aside = sum(error.left_out for error in training) / sum(error.left_out + error.samples for error in training)
     if aside > RULES.most_set_aside:

@@ -22,14 +22,14 @@ from dehyst.identification.fit import Fit
 from dehyst.identification.frame import Frame
 from dehyst.identification.identifiability import probed
 from dehyst.identification.motion import Motion, temperatures_of
-from dehyst.identification.preparation import ENOUGH, Prepared, as_list, demand_short, distinct, prepare
+from dehyst.identification.preparation import ENOUGH, Prepared, after_loops, demand_short, distinct, prepare
 from dehyst.identification.results import RecordErrors, Trace
 from dehyst.identification.rules import RULES
 from dehyst.identification.search import Fitted, Trial
 from dehyst.identification.settings import Deadline, Settings
 from dehyst.identification.structure import Structure
 from dehyst.model import Actuator, Identification, Outcome, with_identification
-from dehyst.records import Record, guesses, recorded_slew_rate, resolution, rms
+from dehyst.records import Record, guesses, of_one_axis, recorded_slew_rate, resolution, rms
 
 # An offset of a record is significant from this part of the voltage range and this ratio of errors without and with it.
 _OFFSET, _TIMES = 0.02, 3.0
@@ -106,7 +106,7 @@ def _alone(
         return _Run(settings, some, others, report, deadline).fit()
 
     with one_thread():
-        return events.identified(as_list(training), as_list(held_out), fit)
+        return events.identified([*map(after_loops, map(of_one_axis, training))], [*map(of_one_axis, held_out)], fit)
 
 
 @dataclass(eq=False)
@@ -378,4 +378,7 @@ class _Run:
         sample, given = self.training[self.widest].record.sample_time, self.settings.delay is not None
         delay = actuator.delay + actuator.lag
         moved = messages.repaired(errors, delay, sample, given=given, low_pass=actuator.lag)
-        return *(sentence for item in self.items for sentence in item.sentences), *moved
+        repaired = (
+            words for item in self.items for words in item.sentences if not words.endswith(guesses(item.record))
+        )
+        return *repaired, *moved

@@ -16,7 +16,7 @@ from dehyst.identification.cleaning import disturbs, local_polynomials, remove_d
 from dehyst.identification.regressors import Epoch, epochs
 from dehyst.identification.rules import RULES
 from dehyst.model import DisplacementCreep, Dynamics, Thermal
-from dehyst.records import Record, bandwidth, counting, interpolate, of_one_axis, usable
+from dehyst.records import Record, bandwidth, counting, interpolate, of_one_axis, reversals, usable
 
 # Share of the voltage's energy above its bandwidth; least sample rate over this bandwidth; least number of samples of
 # the shortest cycle, and of all training records.
@@ -72,6 +72,8 @@ def block_means(record: Record, block: int) -> Record:
 
 
 _SHORTEST = 20
+# The ends of a loop are at one voltage, apart from this part of its range.
+_CLOSED = 0.02
 # Origin of the logarithm of a drift, in cycles before the record.
 _FIRST = 0.1
 # Cycles with more samples than this allow a wide window for derivatives.
@@ -330,6 +332,24 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
     )
 
 
+def after_loops(record: Record) -> Record:
+    """Return a record of one loop with an equal loop before it, a guess that is stated; other records unchanged."""
+    v, y, time, known = record.voltage, record.displacement, record.time, record.measured
+    # Only branches with a known begin count: of a single loop one branch, which has no hysteresis.
+    if len(reversals(record)) != 1 or abs(v[-1] - v[0]) > _CLOSED * np.ptp(v):
+        return record
+    guess = {"motion before the record": "equal loops, as it has only one; record two or more"}
+    return replace(
+        record,
+        time=np.append(time[:-1] - np.ptp(time), time),
+        voltage=np.append(v[:-1], v),
+        displacement=np.append(y[:-1] + y[0] - y[-1], y),
+        measured=None if known is None else np.append(known[:-1], known),
+        others=tuple(each._replace(values=np.append(each.values[:-1], each.values)) for each in record.others),
+        meta={**record.meta, "guesses": {**record.meta.get("guesses", {}), **guess}},
+    )
+
+
 def list_of(records: Record | Sequence[Record]) -> list[Record]:
     """Return one or several records as a list; all have one axis, or all have several.
 
@@ -358,8 +378,3 @@ def distinct(training: Any, validation: Any) -> tuple[list[Record], list[Record]
             )
         seen[key] = record.name
     return first, others
-
-
-def as_list(records: Record | Sequence[Record]) -> list[Record]:
-    """Return one or several records of one axis as a list, see `list_of`; raise `RecordError` for several axes."""
-    return [of_one_axis(item) for item in list_of(records)]

@@ -116,7 +116,7 @@ def remaining_error(fit: Fit) -> str:
 
 
 def candidates(fit: Fit) -> str:
-    """Return the candidates of the search and their held-out errors, the best first."""
+    """Return the candidates of the search, by their held-out errors."""
     chosen = fit.options.get("structure")
     rows: list[Row] = [
         (
