@@ -21,7 +21,7 @@ from dehyst.identification.frame import FOLDS, part_of, without_offset
 from dehyst.identification.identifiability import Identifiability, identifiability, probed
 from dehyst.identification.identify import identify
 from dehyst.identification.motion import Parts
-from dehyst.identification.preparation import Prepared, distinct, list_of, prepare
+from dehyst.identification.preparation import Prepared, as_list, distinct, prepare
 from dehyst.identification.program import Program, Solution
 from dehyst.identification.regressors import epochs
 from dehyst.identification.results import Check, RecordErrors, Trace, Verdict

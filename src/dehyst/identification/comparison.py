@@ -17,7 +17,7 @@ from dehyst.identification.cleaning import disturbs
 from dehyst.identification.events import filled, refilled
 from dehyst.identification.frame import Frame, without_offset, zero_of
 from dehyst.identification.motion import Motion, Parts, moved
-from dehyst.identification.preparation import Prepared, list_of, prepare
+from dehyst.identification.preparation import Prepared, as_list, prepare
 from dehyst.identification.program import Program, Solution
 from dehyst.identification.regressors import Epoch, RowSource
 from dehyst.identification.results import RecordErrors, Trace
@@ -26,7 +26,7 @@ from dehyst.identification.solver import ActiveSet
 from dehyst.identification.start_state import StartState, fit_start, fit_strained
 from dehyst.identification.structure import Grid
 from dehyst.model import Actuator, State, at_reference, major_loop, needs_time, stroke_of, voltages_of
-from dehyst.records import Record, counting, largest, of_one_axis, rms, thinned, turning_points, usable
+from dehyst.records import Record, counting, largest, rms, thinned, turning_points, usable
 
 # Largest number of rows; a longer record is thinned evenly.
 MOST_ROWS = 200_000
@@ -326,10 +326,7 @@ def earlier(record: Record, seconds: float) -> Record:
 
 def compare_all(actuator: Actuator, records: Record | Sequence[Record]) -> tuple[RecordComparison, ...]:
     """Compare an actuator with records, by the options of its identification and as parts of its stroke."""
-    prepared = [
-        prepare_for(actuator, record).with_block(len(record) / MOST_ROWS)
-        for record in map(of_one_axis, list_of(records))
-    ]
+    prepared = [prepare_for(actuator, record).with_block(len(record) / MOST_ROWS) for record in as_list(records)]
     known = actuator.identification
     zero, stroke = 0.0 if known.shared_zero else None, stroke_of(actuator)
     with one_thread():

@@ -136,10 +136,7 @@ def _lines(fit: Fit) -> Iterator[str]:
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         yield from ("", *("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows))
     if fit.trials:
-        yield from (
-            "",
-            "Candidates, by their RMS error on held-out parts of the records; each part more must lower it:",
-        )
+        yield from ("", "Candidates and their RMS error on held-out parts; a further part must lower it clearly:")
         chosen = fit.options.get("structure")
         for trial in sorted(fit.trials, key=lambda trial: trial.held_out)[:_SHOWN]:
             mark = " (chosen)" if trial.structure is not None and trial.structure.as_dict() == chosen else ""

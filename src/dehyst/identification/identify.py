@@ -22,14 +22,14 @@ from dehyst.identification.fit import Fit
 from dehyst.identification.frame import Frame
 from dehyst.identification.identifiability import probed
 from dehyst.identification.motion import Motion, temperatures_of
-from dehyst.identification.preparation import ENOUGH, Prepared, after_loops, demand_short, distinct, prepare
+from dehyst.identification.preparation import ENOUGH, Prepared, after_loops, as_list, demand_short, distinct, prepare
 from dehyst.identification.results import RecordErrors, Trace
 from dehyst.identification.rules import RULES
 from dehyst.identification.search import Fitted, Trial
 from dehyst.identification.settings import Deadline, Settings
 from dehyst.identification.structure import Structure
 from dehyst.model import Actuator, Identification, Outcome, with_identification
-from dehyst.records import Record, guesses, of_one_axis, recorded_slew_rate, resolution, rms
+from dehyst.records import Record, guesses, recorded_slew_rate, resolution, rms
 
 # An offset of a record is significant from this part of the voltage range and this ratio of errors without and with it.
 _OFFSET, _TIMES = 0.02, 3.0
@@ -106,7 +106,7 @@ def _alone(
         return _Run(settings, some, others, report, deadline).fit()
 
     with one_thread():
-        return events.identified([*map(after_loops, map(of_one_axis, training))], [*map(of_one_axis, held_out)], fit)
+        return events.identified([*map(after_loops, as_list(training))], as_list(held_out), fit)
 
 
 @dataclass(eq=False)
@@ -329,7 +329,9 @@ class _Run:
         known: dict[str, Any] = {"lag": lag, "lag_open": lag_open, "creep_open": hidden}
         known |= {} if self.settings.delay is None else {"lag_error": 0.0}
         validated = outcome is not Outcome.INACCURATE and not apart
-        records, held_out = [item.record for item in self.items], self.held_out_errors(made, actuator)
+        records, noise = [item.record for item in self.items], max(item.noise for item in self.frame.training)
+        disagreement = search.disagreement(actuator, self.alternatives, made, self.frame)
+        held_out = HeldOutErrors(made.held_out, disagreement, noise, search.new_in_time(self.frame))
         validity = validity_of(records, judged, remaining, traces, held_out, self.noise, validated=validated, **known)
         expected = expectation(outcome, errors, checked, validity, self.noise, self.settings.goal, caveats)
         trained = errors[: len(self.training)]
@@ -352,12 +354,6 @@ class _Run:
             trials=tuple(self.trials),
             remaining=remaining,
         )
-
-    def held_out_errors(self, made: Fitted, actuator: Actuator) -> HeldOutErrors:
-        """Return the errors on held-out parts of the training records."""
-        disagreement = search.disagreement(actuator, self.alternatives, made, self.frame)
-        noise = max(item.noise for item in self.frame.training)
-        return HeldOutErrors(made.held_out, disagreement, noise, search.new_in_time(self.frame))
 
     def remark(self, made: Fitted, actuator: Actuator, trained: Sequence[RecordErrors]) -> None:
         """Add the remarks on an actuator, the most important first."""

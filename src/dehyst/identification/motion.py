@@ -105,8 +105,8 @@ class Motion:
 
     def before(self, item: Prepared, number: int) -> Prepared:
         """Return a record without drift, temperature and creep; `number`: its place in the arrays."""
-        if self.drift[number]:
-            item = item.without_drift(float(self.drift[number]))
+        if drift := float(self.drift[number]):
+            item = item.changed(lambda piece: piece.displacement - drift * item.drift_curve(piece))
         if (thermal := self.thermal) is not None:
             item = item.at_reference(thermal)
         if (creep := self.creep) is not None:

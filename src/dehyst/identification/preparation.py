@@ -71,9 +71,8 @@ def block_means(record: Record, block: int) -> Record:
     )
 
 
-_SHORTEST = 20
-# The ends of a loop are at one voltage, apart from this part of its range.
-_CLOSED = 0.02
+# Least number of samples; the ends of a loop are at one voltage, apart from this part of its range.
+_SHORTEST, _CLOSED = 20, 0.02
 # Origin of the logarithm of a drift, in cycles before the record.
 _FIRST = 0.1
 # Cycles with more samples than this allow a wide window for derivatives.
@@ -161,17 +160,10 @@ class Prepared:
         return replace(made, noise=made.record.noise, sentences=(*self.sentences, sentence))
 
     def without_creep(self, part: DisplacementCreep, start: Array | None = None) -> Prepared:
-        """Return the record with the displacements before creep in displacement.
-
-        `start` (K,): strains at the first sample [m]; default: creep at rest.
-        """
+        """Return the record before creep in displacement; `start` (K,): strains at its begin [m], default: at rest."""
         time, y = self.with_lead
         m = part.removed(time, y, start)
         return self.changed(lambda piece: np.interp(piece.time, time, m), time[0])
-
-    def without_drift(self, drift: float) -> Prepared:
-        """Return the record without a drift [m per unit of its drift curve]."""
-        return self.changed(lambda piece: piece.displacement - drift * self.drift_curve(piece))
 
     def at_reference(self, thermal: Thermal) -> Prepared:
         """Return the record corrected to the reference temperature; unchanged if it has no temperature."""
@@ -378,3 +370,8 @@ def distinct(training: Any, validation: Any) -> tuple[list[Record], list[Record]
             )
         seen[key] = record.name
     return first, others
+
+
+def as_list(records: Record | Sequence[Record]) -> list[Record]:
+    """Return one or several records of one axis as a list, see `list_of`; raise `RecordError` for several axes."""
+    return [of_one_axis(item) for item in list_of(records)]

@@ -24,9 +24,9 @@ from numpy.typing import ArrayLike
 from dehyst._errors import IdentifyError, ModelError
 from dehyst._types import Array
 from dehyst._validation import demand_result, keep, number, vector
-from dehyst.identification import list_of, prepare
+from dehyst.identification import as_list, prepare
 from dehyst.model import AbstractModel, Motion, State, branches_of, on_curve
-from dehyst.records import Record, of_one_axis
+from dehyst.records import Record
 
 _PLACES = 50
 # A branch of the major loop covers this part of the longest one; least slope of a branch as a part of the mean slope.
@@ -84,7 +84,7 @@ def widest_record(records: Record | Sequence[Record]) -> Record:
 
     Raise `RecordError` if a record cannot be used, and `IdentifyError` if there is none.
     """
-    items = [prepare(record) for record in map(of_one_axis, list_of(records))]
+    items = [prepare(record) for record in as_list(records)]
     if not items:
         raise IdentifyError("got no records, need at least one loop of voltage and displacement")
     return max(items, key=lambda item: float(np.ptp(item.span()))).record
