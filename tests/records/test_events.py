@@ -41,7 +41,7 @@ def test_events_are_moved_to_the_nearest_samples():
     # The nearest samples, half a step away, without the correction.
     assert np.abs(np.interp(EVENTS, T, FULL) - FULL[KNOWN.measured]).max() > 5e-8
     assert KNOWN.displacement == pytest.approx(np.interp(T, T[KNOWN.measured], KNOWN.displacement[KNOWN.measured]))
-    assert KNOWN.noise == 0
+    assert KNOWN.noise < 1e-9
     assert "60 events" in repr(KNOWN)
     assert any("60 events" in words for words in KNOWN.problems())
     KNOWN.check_usable()
@@ -57,6 +57,14 @@ def test_events_of_a_fast_motion_keep_their_displacement(late):
     record = Record.from_events(time, 50 - 50 * np.cos(np.pi * time / 12), fine[at] + 0.5 / 256, place, units="m")
     missed = (record.displacement - moved[::256])[record.measured]
     assert rms(missed) < 1e-8 and np.abs(missed).max() < 5e-8
+
+
+@pytest.mark.parametrize("noise", [2e-9, 2e-8])
+def test_events_have_the_noise_of_their_positions(noise):
+    places = 1e-6 * PLACES + noise * np.random.default_rng(1).normal(size=PLACES.size)
+    assert Record.from_events(T, V, EVENTS, places, units="m").noise == pytest.approx(noise, rel=0.35)
+    few = Record.from_events(T, V, EVENTS[:12], places[:12], units="m")
+    assert few.noise == 0.0
 
 
 def test_fits_and_errors_use_only_events():

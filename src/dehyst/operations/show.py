@@ -102,7 +102,7 @@ def _fields(record: Record, columns: Columns) -> dict[str, Any]:
         "voltage_V": list(record.voltage_range),
         "displacement_um": _span(record.displacement * 1e6),
         "others": {channel.column: _span(channel.values) for channel in record.others},
-        "noise_nm": 1e9 * record.noise if record.measured is None else None,
+        "noise_nm": 1e9 * record.noise,
         "cycles": len(record.cycles()),
         "usable": not unusable,
         "problems": [*unusable, *record.problems()],
@@ -111,11 +111,10 @@ def _fields(record: Record, columns: Columns) -> dict[str, Any]:
 
 def _lines(axis: str, found: dict[str, Any]) -> Iterator[str]:
     """Yield how the columns of an axis are understood, and suspicious properties."""
-    noise = "" if found["noise_nm"] is None else f", noise {digits(found['noise_nm'])} nm"
     rows = {
         "time": f"{ends(0.0, found['duration_s'], 's')}, {found['sample_rate_Hz']:.6g} Hz",
         "voltage": f"{_ends(found['voltage_V'], 'V')}, {counted(found['cycles'], 'cycle')}",
-        "displacement": f"{_ends(found['displacement_um'], 'um')}{noise}",
+        "displacement": f"{_ends(found['displacement_um'], 'um')}, noise {digits(found['noise_nm'])} nm",
     }
     origins = {}
     for quantity in rows:

@@ -338,10 +338,8 @@ class Record(Plotted):
 
     @property
     def noise(self) -> float:
-        """Standard deviation of the sensor's white noise [m]; 0 if the displacement is known at events only."""
-        if self.measured is not None:
-            return 0.0
-        return signals.sensor_noise(self.time, of_one_axis(self).voltage, self.displacement)
+        """Standard deviation of the sensor's white noise [m], or that of events, by their neighbours."""
+        return signals.sensor_noise(self.time, of_one_axis(self).voltage, self.displacement, self.measured)
 
     def cycles(self) -> list[Span]:
         """Return the full cycles between successive voltage minima, or maxima if these give more.

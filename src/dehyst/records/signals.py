@@ -97,21 +97,23 @@ def white_noise(values: Array) -> float:
     return spread / QUARTILE / sqrt(comb(2 * _ORDER, _ORDER))
 
 
-def sensor_noise(time: Array, voltage: Array, displacement: Array) -> float:
+def sensor_noise(time: Array, voltage: Array, displacement: Array, known: Mask | None = None) -> float:
     """Estimate the white noise of a displacement (n,) as `white_noise` does, or by the sample times.
 
-    The second estimate counts if it is far smaller (uneven steps, repeated or few samples): it is the distance of new
-    samples from the cubic through two neighbours on each side, where the voltage does not turn.
+    The second estimate counts for events (`known`), or if it is far smaller (uneven steps, repeated or few samples): it
+    is the distance of new samples from the cubic through two neighbours on each side, where the voltage does not turn.
     """
-    noise, steps = white_noise(displacement), np.diff(time[:_ROWS])
-    new = new_samples(voltage, displacement)
+    noise, steps = 0.0 if known is not None else white_noise(displacement), np.diff(time[:_ROWS])
+    new = new_samples(voltage, displacement) if known is None else known
     turns = np.count_nonzero(np.diff(np.sign(np.diff(voltage[:_ROWS]))))
     if new is None and np.std(steps) < _UNEVEN * np.median(steps) and turns < steps.size / _TURN_SAMPLES:
         return noise
     rows = np.arange(displacement.size)[slice(None) if new is None else new][:_ROWS]
     if rows.size < 5:
         return noise
-    t, v, y = (sliding_window_view(signal[rows], 5) for signal in (time, voltage, displacement))
+    # Few events follow the voltage more straightly than the time.
+    clock = time if known is None else voltage
+    t, v, y = (sliding_window_view(signal[rows], 5) for signal in (clock, voltage, displacement))
     straight = np.abs(np.sign(np.diff(v, axis=1)).sum(axis=1)) == 4
     if np.count_nonzero(straight) < _WINDOWS:
         return noise
