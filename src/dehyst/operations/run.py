@@ -142,7 +142,9 @@ def perform(ctx: click.Context, run: Run) -> Result:
         warnings.simplefilter("default", UserWarning)
         warnings.showwarning = lambda message, *_, **__: run.remarks.append(str(message))
         result: Result = ctx.command.callback(run, **values)
-    return replace(result, fields={**result.fields, "warnings": [*run.remarks, *run.details]})
+    written = (each.name for each in ctx.command.params if getattr(each.type, "role", Role.INPUT) is not Role.INPUT)
+    made = {str(name): str(values[name]) for name in written if values.get(name) is not None}
+    return replace(result, fields={**made, **result.fields, "warnings": [*run.remarks, *run.details]})
 
 
 def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path], kept: Sequence[Path] = (), *, force: bool) -> None:
