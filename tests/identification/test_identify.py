@@ -12,7 +12,7 @@ import structured_records as wide
 
 import dehyst
 from dehyst import Actuator, IdentifyError, Record, RecordError
-from dehyst.identification import Deadline, Structure
+from dehyst.identification import Deadline, Structure, messages
 from dehyst.model import Outcome, turned
 from dehyst.virtual import PlayActuator
 from dehyst.waveforms import Sampling, raised_cosine
@@ -61,7 +61,7 @@ def test_a_single_loop_is_identified_as_after_equal_loops():
     loops = raised_cosine(truth.highest, cycles=2, drive=Sampling(0.1, sample_rate=100.0))
     whole = Record(loops.time, loops.voltage, truth.play(loops.voltage))
     fit = dehyst.identify(whole[1000:])
-    assert fit.errors[0].rms < 1e-3 * truth.stroke
+    assert fit.errors[0].rms == fit.promise.measured < 1e-3 * truth.stroke
     moved = fit.simulate(loops.voltage).displacement - whole.displacement
     assert np.ptp(moved[1000:]) < 5e-3 * truth.stroke
     assert "motion before the record" in fit.options["records"][0]["guesses"]
@@ -153,6 +153,8 @@ def test_the_cause_of_a_lag_is_stated_only_if_it_is_known(lag_of):
     assert lag == pytest.approx(0.02, abs=0.001) == fit.options["delay_s"]
     assert fit.actuator.identification.lag_of == (lag_of or "")
     assert (fit.promise.promise.delay > 0) == (lag_of is None)
+    without = dehyst.identify(TOPS, structure=TEN, lag_of=lag_of)
+    assert (messages.NO_LAG in without.remarks) == (lag_of is not None)
     assert Actuator.from_dict(fit.actuator.as_dict()).identification.lag_of == (lag_of or "")
 
 

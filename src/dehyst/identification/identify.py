@@ -363,6 +363,7 @@ class _Run:
             first.append(self._warms(made))
         guessed = [sentence for item in self.items for sentence in guesses(item.record)]
         first += [" ".join(dict.fromkeys(guessed))] if guessed else []
+        first += [messages.NO_LAG] * bool(self.settings.lag_of and not actuator.delay + actuator.lag)
         self.remarks = first + self.remarks + messages.of_rare_voltages(self.training, self.limits)
         for item in self.held_out:
             played = actuator.promise(item.record.voltage)

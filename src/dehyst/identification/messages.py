@@ -21,6 +21,7 @@ STEPS = (
     "After steps of the voltage the displacement rings or overshoots. The expected error holds for paths without "
     "steps. If ringing changes the hysteresis state, the error is larger until the next full loop."
 )
+NO_LAG = "The records show no lag: who lags makes no difference. A higher sample rate shows a shorter one."
 # `seconds`: the lead [ms].
 LEADS = (
     "The displacement leads the voltage by {seconds:.3g} ms, half a sample: the sensor is read at the end of each step "
