@@ -1,6 +1,7 @@
 """Excitations: they turn where they should, keep limits and slew rate, show what theory says, and what is refused."""
 
 import math
+import re
 import tracemalloc
 from functools import partial
 
@@ -202,6 +203,12 @@ class TestKinds:
     def test_recommended_is_slower_if_the_sample_rate_is_low(self):
         made = recommended(100.0, drive=Sampling(0.1, sample_rate=4.0))
         assert np.abs(np.diff(made.voltage)).max() < 60 and made.turns.size > 55 and len(made.warnings) == 1
+
+    def test_a_slew_rate_states_the_duration_without_it(self):
+        made = recommended(120.0, drive=Sampling(0.1, sample_rate=100.0, slew_rate=20.0))
+        now, free = re.search(r"([\d.]+) s instead of ([\d.]+) s in all", made.warnings[0]).groups()
+        assert float(now) == pytest.approx(made.duration, abs=0.011)
+        assert float(free) == recommended(120.0, drive=Sampling(0.1, sample_rate=100.0)).duration
 
 
 class TestRamps:

@@ -99,8 +99,7 @@ class Excitation:
         """Turning points (k,) [V]: first voltage, voltages at which it turns, and last voltage."""
         steps = np.diff(self.voltage)
         moving = np.flatnonzero(steps)
-        rises = steps[moving] > 0
-        turning = moving[1:][rises[1:] != rises[:-1]]
+        turning = moving[1:][np.diff(steps[moving] > 0)]
         return self.voltage[[0, *turning, -1]]
 
 
@@ -219,33 +218,32 @@ class Sampling:
                 raise RecordError(argument="turns", got=got, need="different voltages", hint="leave one out")
         return [Branch(a, b, self.half) for a, b in pairwise(path)]
 
-    def play(self, name: str, branches: Sequence[Branch]) -> Excitation:
+    def play(self, name: str, branches: Sequence[Branch], otherwise: float | None = None) -> Excitation:
         """Return the excitation `name` of successive `branches`; it is checked before memory is allocated.
 
-        Raise `RecordError` if a voltage lies outside of the limits, there are more than 5e7 samples, or the slew rate
-        is so low that rounding loses the steps between samples.
+        `otherwise`: its duration [s] without a slew rate, by default that of the branches as requested. Raise
+        `RecordError` if a voltage lies outside of the limits, there are more than 5e7 samples, or the slew rate is so
+        low that rounding loses the steps between samples.
         """
         ends = [branches[0].start, *(branch.end for branch in branches)]
         self._refuse_outside(ends, name)
-        step = self._largest_step(max(map(abs, ends)))
-        requested = [self._requested(branch) for branch in branches]
+        step, requested = self._largest_step(max(map(abs, ends))), [self._requested(branch) for branch in branches]
         steepest = [STEEPEST * abs(branch.end - branch.start) for branch in branches]
         counts = [max(n, math.ceil(height / step)) for n, height in zip(requested, steepest, strict=True)]
         total = sum(counts)
         refuse_long(1 + total, self.rate)
-        parts = (branch.sampled(count) for branch, count in zip(branches, counts, strict=True))
-        voltage = np.concatenate([ends[:1], *parts])
+        voltage = np.concatenate([ends[:1], *map(Branch.sampled, branches, counts)])
         planned = zip(branches, requested, counts, strict=True)
         longer = [(n, m) for branch, n, m in planned if branch.requested and m > 1.000001 * n]
         if not longer:
             return Excitation(name, voltage, self.rate)
         n, m = max(longer, key=lambda pair: pair[1] / pair[0])
         moving = sum(branch.requested and branch.start != branch.end for branch in branches)
-        intended = total - sum(m - n for n, m in longer)
+        intended = (total - sum(m - n for n, m in longer)) / self.rate if otherwise is None else otherwise
         warning = (
             f"{len(longer)} of {moving} branches are slower than requested, to keep {self.slew_rate:g} V/s: up to "
             f"{m / self.rate:.4g} s instead of {n / self.rate:.4g} s, and {total / self.rate:.5g} s instead of "
-            f"{intended / self.rate:.5g} s in all"
+            f"{intended:.5g} s in all"
         )
         return Excitation(name, voltage, self.rate, (warning,))
 

@@ -60,7 +60,9 @@ def recommended(highest: float, *, drive: Sampling = _PACE) -> Excitation:
     for k, (now, end, speed) in enumerate(zip(ends[:-1], ends[1:], [*speeds, 1.0], strict=True), 1):
         branches.append(Branch(now, end, drive.half * (_SHORT + (1 - _SHORT) * abs(end - now) / height) / speed))
         branches += [Branch(end, end, hold)] if k == _HELD else []
-    made = drive.play("recommended", drive.lead_in(height) + branches)
+    # A slew rate slows the requested turns too.
+    free = drive.slew_rate and recommended(highest, drive=replace(drive, slew_rate=None)).duration
+    made = drive.play("recommended", drive.lead_in(height) + branches, free)
     possible = min(FASTER, steepest)
     warning = (
         f"at {drive.rate:g} Hz the fastest turns are only {fastest:.3g} times as fast as the slowest; a sample rate of "
