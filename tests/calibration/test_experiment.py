@@ -320,9 +320,6 @@ def go_on(folder, aside=None):
     return bool(job.kept)
 
 
-# The record
-
-
 def edited(change):
     """Change the lines of a record."""
 
@@ -434,9 +431,6 @@ def test_an_unknown_file_is_not_changed(folder):
     path.write_text("a,b\n1,2\n")
     assert go_on(folder)
     assert path.read_text() == "a,b\n1,2\n"
-
-
-# The folder
 
 
 def records_a_file(folder):

@@ -108,9 +108,6 @@ def test_commands_that_read_one_column_accept_its_scale(monitor):
     assert read_table("out2.csv").column("voltage").max() == pytest.approx(100)
 
 
-# The zero
-
-
 @pytest.fixture
 def far(monitor):
     """A model whose sensor has its zero far away: it reaches about -120 to -108 um."""

@@ -294,9 +294,6 @@ def test_calls_that_the_standard_forbids_are_refused(fmus):
         slave.fmu.terminate()
 
 
-# The file
-
-
 @pytest.mark.parametrize(("model", "kind"), spanning(MODELS, TARGETS))
 def test_the_validator_finds_no_fault(fmus, model, kind):
     path, _ = fmus(model, kind)

@@ -25,9 +25,6 @@ BUILDER = places.ROOT / "bindings" / "wasm" / "build.py"
 MOST = 26_200
 
 
-# The module
-
-
 def test_the_wasm_module_was_compiled_from_the_present_sources():
     building = runpy.run_path(str(BUILDER))
     assert building["recorded"](shipped_bytes("core.wasm")) == building["digest"](), "run make wasm, and commit"
@@ -260,9 +257,6 @@ def test_every_wrong_size_and_number_is_refused(tmp_path, kind):
     sound, refused = node(exported(tmp_path / kind, KINDS[kind]()), SEAL + EVERY).split()
     assert sound == "0"
     assert {"-2", "-8", "-11"} <= set(refused.split(",")) <= {"-1", "-2", "-8", "-11"}
-
-
-# The files
 
 
 def test_the_declared_types_have_every_member():
