@@ -1,12 +1,11 @@
 """`dehyst follow`: a path on a rig, what it writes and says, what it learns, and its exit status."""
 
 import json
-import subprocess
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import DEHYST, refused, result
+from command_line import refused, result, run_as_process
 from command_line import run as run_command
 from emulated_stage import COUPLING, HIGHEST, served
 
@@ -17,19 +16,15 @@ from dehyst.model import Stage
 from dehyst.records import read_table, write_columns
 from dehyst.virtual import PlayActuator, VirtualStage
 
-RIG = """
-from dehyst.instruments.simulated import SimulatedRig
-from dehyst.virtual import PlayActuator
-
-
-def make(**options):
-    return SimulatedRig(PlayActuator(), **options)
-"""
-# Four samples late.
-LATE = """
+# Rigs with a fault each, by the function that makes them.
+RIGS = """
+import os
+from pathlib import Path
 import numpy as np
 from dehyst.instruments.simulated import SimulatedRig
 from dehyst.virtual import PlayActuator
+
+STROKE = PlayActuator().stroke
 
 
 class Late(PlayActuator):
@@ -41,25 +36,7 @@ class Late(PlayActuator):
         return super().play(sent[:-4], **options)
 
 
-def make(**options):
-    return SimulatedRig(Late(), **options)
-"""
-
-
-def run(*words, cwd):
-    """Return exit status and JSON result of a command that replaces what an earlier one wrote."""
-    return result(*words, "--force", cwd=cwd)
-
-
-# Killed in the third wave, after what it has given was noted.
-TOLD = """
-import os
-from pathlib import Path
-from dehyst.instruments.simulated import SimulatedRig
-from dehyst.virtual import PlayActuator
-
-
-class Told(SimulatedRig):
+class Killed(SimulatedRig):
     given = waves = 0
 
     def _wave(self, voltage, rate):
@@ -72,10 +49,36 @@ class Told(SimulatedRig):
             self.given += samples.time.size
 
 
-def make(**options):
-    return Told(PlayActuator(), **options)
+class Still(SimulatedRig):
+    def _wave(self, *_):
+        raise OSError("still")
+
+
+class Blind(SimulatedRig):
+    def _read(self):
+        return (0.0, 0.0, float("nan"))
+
+    def _put(self, _):
+        raise SystemError
+
+
+def of(actuator=PlayActuator, rig=SimulatedRig, **numbers):
+    return lambda **options: rig(actuator(**numbers), **options)
+
+
+make, late, killed, still, blind = of(), of(Late), of(rig=Killed), of(rig=Still), of(rig=Blind)
+aged, noisy, larger = of(stroke=0.93 * STROKE), of(noise=60e-9), of(noise=2e-9, stroke=1.03 * STROKE)
 """
-WORDS = ("follow", "rig.py:make", "--model", "model.json", "--path", "path.csv")
+
+
+def words(rig="make", path="path", model="model"):
+    """A command that follows a path on a rig, each by its name."""
+    return "follow", f"rig.py:{rig}", "--model", f"{model}.json", "--path", f"{path}.csv"
+
+
+def run(*words, cwd):
+    """Return exit status and JSON result of a command that replaces what an earlier one wrote."""
+    return result(*words, "--force", cwd=cwd)
 
 
 @pytest.fixture(scope="module")
@@ -87,12 +90,12 @@ def folder(tmp_path_factory):
     dehyst.identify(record, structure="maxwell_slip").actuator.save(target / "model.json")
     phase = 2 * np.pi * np.arange(200) / 200
     write_columns(target / "path.csv", {"time_s": 0.005 * np.arange(200), "displacement_um": 7 - 5 * np.cos(phase)})
-    (target / "rig.py").write_text(RIG)
+    (target / "rig.py").write_text(RIGS)
     return target
 
 
 def test_the_path_is_followed_and_its_record_is_written(folder):
-    status, found = run(*WORDS, "-o", "once", cwd=folder)
+    status, found = run(*words(), "-o", "once", cwd=folder)
     assert (status, found["clamped"], found["kept"]) == (0, 0, True)
     assert 0 < found["largest_m"] <= found["promise"]["largest_m"] + abs(found["mean_percent"]) / 100 * 15e-6
     wanted = read_table(folder / "path.csv").column("displacement")
@@ -106,10 +109,8 @@ def test_the_path_is_followed_and_its_record_is_written(folder):
 
 
 def test_the_noise_of_the_sensor_does_not_break_the_promise(folder):
-    for noise, stroke, kept in ((60e-9, 1.0, True), (2e-9, 1.03, False)):
-        options = f"PlayActuator(noise={noise}, stroke={stroke} * PlayActuator().stroke)"
-        (folder / "loud.py").write_text(RIG.replace("PlayActuator(),", f"{options},"))
-        status, found = run("follow", "loud.py:make", *WORDS[2:], cwd=folder)
+    for rig, noise, kept in (("noisy", 60e-9, True), ("larger", 2e-9, False)):
+        status, found = run(*words(rig), cwd=folder)
         assert found["largest_m"] > found["promise"]["largest_m"]
         assert (status, found["kept"]) == (0 if kept else 1, kept)
         assert found["noise_m"] == pytest.approx(noise, rel=0.2)
@@ -118,22 +119,21 @@ def test_the_noise_of_the_sensor_does_not_break_the_promise(folder):
 def test_a_path_that_is_missed_is_refused_before_anything_moves(folder):
     moved = 7 - 12 * np.cos(2 * np.pi * np.arange(200) / 200)
     write_columns(folder / "wide.csv", {"time_s": 0.005 * np.arange(200), "displacement_um": moved})
-    words = (*WORDS[:-1], "wide.csv", "-o", "wide")
-    status, _, err = run_command(*words, keep=True, cwd=folder)
+    given = (*words(path="wide"), "-o", "wide")
+    status, _, err = run_command(*given, keep=True, cwd=folder)
     assert status == 2 and "CLAMPED" in err and "nothing was moved" in err
-    assert not (folder / "wide" / "record.csv").exists() and run(*words, cwd=folder)[0] == 1
+    assert not (folder / "wide" / "record.csv").exists() and run(*given, cwd=folder)[0] == 1
 
 
 def test_a_repeated_path_has_a_way_back_and_an_error_each_time(folder):
     write_columns(folder / "ramp.csv", {"time_s": 0.005 * np.arange(200), "displacement_um": 3 + 0.04 * np.arange(200)})
-    words = ("follow", "rig.py:make", "--model", "model.json", "--path", "ramp.csv", "--repeat", "3")
-    found = run(*words, cwd=folder)[1]
+    found = run(*words(path="ramp"), "--repeat", "3", cwd=folder)[1]
     assert len(found["repetitions"]) == 3
     assert max(repetition["largest_percent"] for repetition in found["repetitions"]) < 1
 
 
 def test_a_path_is_learnt_to_the_noise_and_its_voltages_play_again(folder):
-    status, found = run(*WORDS, "--learn", "-o", "learnt", cwd=folder)
+    status, found = run(*words(), "--learn", "-o", "learnt", cwd=folder)
     errors = [repetition["rms_percent"] for repetition in found["repetitions"]]
     assert status == 0
     assert 3 < len(errors) <= 21
@@ -163,8 +163,7 @@ def test_several_axes_are_learnt_together(tmp_path):
     write_columns(tmp_path / "path.csv", {"time_s": 0.005 * np.arange(400), **path})
     with served(stage=stage, speed=40.0) as (server, bench):
         rig = f"pi://127.0.0.1:{server.port}/1,2,3"
-        words = ("follow", rig, "--model", "stage.json", "--path", "path.csv", "--learn", "--repeat", "4")
-        found = run(*words, cwd=tmp_path)[1]
+        found = run("follow", rig, *words(model="stage")[2:], "--learn", "--repeat", "4", cwd=tmp_path)[1]
         assert [single.voltage for single in bench.axes] == [0, 0, 0]
     first, last = found["repetitions"][0], found["repetitions"][-1]
     assert {*first} == {"1", "2", "3"}
@@ -179,37 +178,30 @@ def test_feedback_corrects_a_model_that_is_wrong(folder):
     )
     slow = {"time_s": 0.02 * np.arange(200), "displacement_um": 7 - 3 * np.cos(2 * np.pi * np.arange(200) / 200)}
     write_columns(folder / "slow.csv", slow)
-    errors = []
-    for more in ((), ("--feedback",)):
-        words = ("follow", "rig.py:make", "--model", "off.json", "--path", "slow.csv", "--repeat", "2", *more)
-        errors.append(run(*words, cwd=folder)[1]["rms_percent"])
+    given = (*words(path="slow", model="off"), "--repeat", "2")
+    errors = [run(*given, *more, cwd=folder)[1]["rms_percent"] for more in ((), ("--feedback",))]
     assert errors[1] < 0.5 * errors[0]
 
 
 def test_samples_before_a_kill_are_in_the_file(folder):
     """Killed without a warning in a learnt path: each sample that the rig gave is in the record."""
-    (folder / "told.py").write_text(TOLD)
-    words = ("follow", "told.py:make", "--model", "model.json", "--path", "path.csv", "--learn", "-o", "killed")
-    done = subprocess.run([*DEHYST, *words, "--force"], cwd=folder, capture_output=True, timeout=120, check=False)
-    assert done.returncode == -9
+    assert run_as_process(*words("killed"), "--learn", "-o", "killed", "--force", cwd=folder)[0] == -9
     rows = (folder / "killed" / "record.csv").read_text().splitlines()[2:]
     assert len(rows) == int((folder / "given").read_text()) > 1500
 
 
 def test_a_path_is_on_time_despite_a_delay(folder):
     model = dehyst.Actuator.load(folder / "model.json")
-    (folder / "late.py").write_text(LATE)
     errors = []
     for delay in (0.0, 0.02):
         replace(model, delay=delay).save(folder / "late.json")
-        words = ("follow", "late.py:make", "--model", "late.json", "--path", "path.csv")
-        errors.append(run(*words, cwd=folder)[1]["largest_percent"])
+        errors.append(run(*words("late", model="late"), cwd=folder)[1]["largest_percent"])
     assert errors[0] > 3
     assert errors[1] < 1
 
 
 def test_follow_prints_the_promise_of_compensate_before_it_moves(folder):
-    status, ran = run(*WORDS, cwd=folder)
+    status, ran = run(*words(), cwd=folder)
     assert status == 0
     compensate = ("compensate", "model.json", "path.csv", "--home", "--slew-rate", "none", "-o", "volts.csv")
     planned = run(*compensate, cwd=folder)[1]["promise"]
@@ -217,11 +209,7 @@ def test_follow_prints_the_promise_of_compensate_before_it_moves(folder):
     assert ran["promise"]["untested"] == planned["untested"] != []
     for name in ("rms_m", "largest_m"):
         assert ran["promise"][name] == pytest.approx(planned[name], rel=1e-6)
-    (folder / "never_moves.py").write_text(
-        RIG + "\n\nclass Still(SimulatedRig):\n    def _wave(self, *_):\n        raise OSError('still')\n"
-        "\n\ndef still(**options):\n    return Still(PlayActuator(), **options)\n"
-    )
-    status, out, err = run_command("follow", "never_moves.py:still", *WORDS[2:], "--force", cwd=folder)
+    status, out, err = run_command(*words("still"), "--force", cwd=folder)
     promised = [ran["promise"]["sentence"], *(gap["sentence"] for gap in ran["promise"]["untested"])]
     assert (status, out.splitlines()[: len(promised)]) == (1, promised)
     assert "brought to 0 V" in err
@@ -230,7 +218,7 @@ def test_follow_prints_the_promise_of_compensate_before_it_moves(folder):
 def test_limits_and_slew_rate_in_force_are_fields_and_notes_if_others_were_given(folder):
     notes = {}
     for given in ((), ("--limits", "-50", "400"), ("--slew-rate", "1e9"), ("--limits", "0", "190")):
-        _, out, err = run_command(*WORDS, "--json", "--force", *given, cwd=folder)
+        _, out, err = run_command(*words(), "--json", "--force", *given, cwd=folder)
         found = json.loads(out)
         assert found["limits_V"] == ([0, 190] if "190" in given else [0, 200])
         # By default the whole range in 0.1 s.
@@ -240,12 +228,10 @@ def test_limits_and_slew_rate_in_force_are_fields_and_notes_if_others_were_given
 
 
 def test_the_integral_does_not_wind_up_while_a_stage_with_delay_is_slewed(folder):
-    (folder / "late.py").write_text(LATE)
     wanted, errors = np.repeat([3.0, 8, 4, 9, 5, 11], 100), []
     write_columns(folder / "steps.csv", {"time_s": 0.01 * np.arange(600), "displacement_um": wanted})
-    words = ("late.py:make", "--model", "model.json", "--path", "steps.csv", "--slew-rate", "400")
     for more in ((), ("--feedback",)):
-        status, found = run("follow", *words, *more, "-o", "steps", cwd=folder)
+        status, found = run(*words("late", "steps"), "--slew-rate", "400", *more, "-o", "steps", cwd=folder)
         assert status == 1 and found["clamped"] > 50
         record = dehyst.read(folder / "steps" / "record.csv")
         errors.append(np.std((record.displacement[-600:] - 1e-6 * wanted).reshape(6, 100)[:, 60:]))
@@ -255,7 +241,7 @@ def test_the_integral_does_not_wind_up_while_a_stage_with_delay_is_slewed(folder
 def test_a_path_keeps_its_duration_at_the_rate_of_the_rig(folder):
     wanted = 7 - 3 * np.cos(2 * np.pi * np.arange(801) / 800)
     write_columns(folder / "fine.csv", {"time_s": 0.0025 * np.arange(801), "displacement_um": wanted})
-    run("follow", *WORDS[1:4], "--path", "fine.csv", "--feedback", "-o", "fine", cwd=folder)
+    run(*words(path="fine"), "--feedback", "-o", "fine", cwd=folder)
     record = dehyst.read(folder / "fine" / "record.csv")
     assert 1e6 * record.displacement[-401:] == pytest.approx(wanted[::2], abs=0.05)
     assert np.ptp(record.time[-401:]) == pytest.approx(2.0, rel=0.01)
@@ -270,12 +256,7 @@ def test_an_error_above_the_promise_has_a_cause(folder):
 
 
 def test_a_sensor_without_a_reading_is_refused_before_anything_moves(folder):
-    (folder / "blind.py").write_text(
-        RIG + "\n\nclass Blind(SimulatedRig):\n    def _read(self):\n        return (0.0, 0.0, float('nan'))\n"
-        "    def _put(self, _):\n        raise SystemError\n"
-        "\n\ndef blind(**options):\n    return Blind(PlayActuator(), **options)\n"
-    )
-    status, _, err = run_command("follow", "blind.py:blind", *WORDS[2:], "--force", cwd=folder)
+    status, _, err = run_command(*words("blind"), "--force", cwd=folder)
     assert (status, "finite" in err, "SystemError" in err) == (1, True, False)
 
 
@@ -285,17 +266,13 @@ def test_the_temperature_of_a_path_is_used(folder):
     phase = 2 * np.pi * np.arange(200) / 200
     columns = {"time_s": 0.005 * np.arange(200), "displacement_um": 7 - 5 * np.cos(phase)}
     write_columns(folder / "warm.csv", {**columns, "temperature_C": np.full(200, 40.0)})
-    (folder / "aged.py").write_text(
-        "from dehyst.instruments.simulated import SimulatedRig\nfrom dehyst.virtual import PlayActuator\n"
-        "def make(**options):\n    return SimulatedRig(PlayActuator(stroke=0.93 * PlayActuator().stroke), **options)\n"
-    )
-    rig, errors = "aged.py:make", []
-    for path in ("path.csv", "warm.csv"):
-        status, found = run("follow", rig, "--model", "thermal.json", "--path", path, cwd=folder)
+    errors = []
+    for path in ("path", "warm"):
+        status, found = run(*words("aged", path, "thermal"), cwd=folder)
         # One that does not know the temperature misses the path by more than was promised.
-        assert status == (path == "path.csv")
+        assert status == (path == "path")
         errors.append(found["rms_percent"])
     assert errors[0] > 2
     assert errors[1] < 0.5
-    words = ("follow", "sim://", "--model", "model.json", "--path", "warm.csv")
-    assert refused(*words, "--columns", "temperature=temperature_C", "--force", cwd=folder)["argument"] == "temperature"
+    given = ("--columns", "temperature=temperature_C", "--force")
+    assert refused(*words(path="warm"), *given, cwd=folder)["argument"] == "temperature"

@@ -47,6 +47,8 @@ REFUSED = {
     "simulate model.json loops.csv -o loops.csv --start loops.csv": ("", "loops.csv"),
     "simulate creep.json loops.csv -o out.csv --start timeless.csv": ("", "time"),
     "simulate model.json loops.csv -o out.csv --start volts.csv": ("", "200000 V"),
+    "simulate model.json loops.csv -o out.csv --start odd.csv": ("", "odd.csv: displacement: got"),
+    "compensate model.json path.csv -o out.csv --start odd.csv": ("", "odd.csv: displacement: got"),
     "compensate model.json loops.csv -o out.csv --limits 5 1": "limits",
     "compensate model.json loops.csv -o out.csv --limits 0 inf": "limits",
     "compensate model.json far.csv -o out.csv": ("displacement", "check the numbers"),
@@ -134,6 +136,7 @@ def folder(tmp_path_factory):
     training = record_loops()[0]
     write_record(place / "loops.csv", training)
     write_record(place / "short.csv", training[:100])
+    write_record(place / "odd.csv", replace(training, displacement=10 * training.displacement))
     time, path = 0.01 * np.arange(400), 6 - 3 * np.cos(np.arange(400) / 30)
     tables = {
         "path": {"displacement_um": path},
