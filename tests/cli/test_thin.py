@@ -157,6 +157,31 @@ def test_compensate_writes_what_the_library_plans(folder, name, words):
     assert status == (0 if small and not plan.failure else 1)
 
 
+def test_the_reach_depends_on_the_temperature_of_the_path(tmp_path):
+    """The reach at 60 degC ends lower than at the reference, at 30 degC."""
+    replace(BARE, thermal=PLAIN.thermal).save(tmp_path / "model.json")
+    low, high = (1e6 * PLAIN.thermal.warmed(np.array(BARE.reach), 60.0)).tolist()
+    path = {"time_s": TIME, "displacement_um": high - 1.9 + 2 * np.cos(np.pi * TIME)}
+    said = []
+    for degrees in (30, 60):
+        write_columns(tmp_path / "path.csv", path | {"temperature_C": np.full(TIME.size, float(degrees))})
+        told = result("compensate", "model.json", "path.csv", "-o", "out.csv", "--start", "top", cwd=tmp_path)[1]
+        said.append([warning for warning in told["warnings"] if "the path covers" in warning])
+    assert said[0] == [] and told["missed_um"] == pytest.approx(0.1, rel=1e-3)
+    assert f"{low:.4g} to {high:.4g} um" in said[1][0] and f"to {high + 0.1:.6g} um" in said[1][0]
+
+
+def test_a_model_without_temperature_ignores_the_column_and_says_so(folder):
+    BARE.save(folder / "bare.json")
+    said, written = [], []
+    for path in ("path.csv", "warm.csv"):
+        told = result("compensate", "bare.json", path, "-o", "out.csv", "--start", "bottom", cwd=folder)[1]
+        said.append({*told["warnings"]})
+        written.append((folder / "out.csv").read_bytes())
+    (more,) = said[1] - said[0]
+    assert "temperature_K" in more and written[0] == written[1]
+
+
 def test_a_path_is_counted_from_its_zero(folder):
     words = ("path.csv", "-o", "out.csv", "--zero", "1.5", "--start", "bottom")
     result("compensate", "plain.json", *words, cwd=folder)
