@@ -39,7 +39,7 @@ def test_compare_prints_a_table_and_writes_a_page(folder):
     assert (found["training"], found["validation"], found["held_out_by_itself"]) == (["tops"], ["three"], False)
     assert out.splitlines()[0] == found["best"]["sentence"]
     assert (found["best"]["model"], found["best"]["next"]) == ("dehyst", "two branches")
-    assert found["best"]["factor"] > 3
+    assert found["best"]["factor"] > 3 and found["best"]["line_rms_percent"] > found["best"]["next_rms_percent"]
     assert "Models compared" in (folder / "page.html").read_text()
 
 

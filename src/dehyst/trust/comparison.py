@@ -21,7 +21,7 @@ from dehyst.trust.baselines import Linear, TwoBranches
 
 # A function of training records that returns the model, or raises an error that states why there is none.
 Identification: TypeAlias = Callable[[Sequence[Record]], AbstractModel]
-OURS = "dehyst"
+OURS, _LINE = "dehyst", "linear ratio"
 # The command that installs published models.
 RIVALS = "pip install dehyst-rivals (from a clone: pip install ./packages/rivals)"
 # The group of entry points of installed packages whose functions are an `Identification`.
@@ -82,12 +82,13 @@ class ModelScore:
 
 
 class Best(NamedTuple):
-    """The model with the least RMS error on held-out samples, and the next one; errors in % of the stroke."""
+    """The model with the least RMS error on held-out samples, the next one, and a line; errors in % of the stroke."""
 
     model: str
     rms: float
     next: str
     next_rms: float
+    line_rms: float | None = None
 
     @property
     def factor(self) -> float:
@@ -95,14 +96,15 @@ class Best(NamedTuple):
         return self.next_rms / self.rms if self.rms else np.inf
 
     def __str__(self) -> str:
+        line = "" if self.line_rms is None or _LINE in self[::2] else f"; a straight line has {self.line_rms:.2g} %"
         return (
             f"{self.model} is best on held-out samples: {self.rms:.2g} % of the stroke RMS; next is {self.next} with "
-            f"{self.next_rms:.2g} %, {self.factor:.3g} times as much."
+            f"{self.next_rms:.2g} %, {self.factor:.3g} times as much{line}."
         )
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        keys = "model rms_percent=rms next next_rms_percent=next_rms factor"
+        keys = "model rms_percent=rms next next_rms_percent=next_rms factor line_rms_percent=line_rms"
         return {**json_values(self, keys), "sentence": str(self)}
 
 
@@ -123,9 +125,9 @@ class ModelComparison:
     @property
     def best(self) -> Best | None:
         """The best model by its RMS error on held-out samples; None with fewer than two models that have one."""
-        judged = ((score.rms, row.name) for row in self.rows if (score := row.worst("validation")) is not None)
-        (least, name), (second, runner_up) = [*sorted(judged), (np.nan, ""), (np.nan, "")][:2]
-        return Best(name, least, runner_up, second) if runner_up else None
+        judged = {row.name: score.rms for row in self.rows if (score := row.worst("validation")) is not None}
+        name, runner_up = [*sorted(judged, key=judged.__getitem__), "", ""][:2]
+        return Best(name, judged[name], runner_up, judged[runner_up], judged.get(_LINE)) if runner_up else None
 
     @property
     def note(self) -> str:
@@ -153,7 +155,7 @@ class ModelComparison:
 def contenders() -> dict[str, Identification]:
     """Return all models by name as functions: dehyst's, a table and a line, those of installed packages."""
     ours = {OURS: lambda records: identify(records, structure="auto").actuator}
-    own: dict[str, Identification] = {**ours, "two branches": TwoBranches.fit, "linear ratio": Linear.fit}
+    own: dict[str, Identification] = {**ours, "two branches": TwoBranches.fit, _LINE: Linear.fit}
     return own | _added() | own
 
 
