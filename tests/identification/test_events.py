@@ -134,16 +134,26 @@ def test_fits_are_repeated_until_they_converge(shift, calls):
 
 
 @pytest.fixture(scope="module")
-def fit():
+def fitted():
     """A model of fringes of a stage that creeps a little, which the model cannot explain."""
-    played = recommended(100.0, drive=Sampling(0.5, sample_rate=200, slew_rate=100.0))
+    played = recommended(100.0, drive=Sampling(0.5, sample_rate=1000, slew_rate=100.0))
     y = PlayActuator(stroke=12e-6, highest=100.0, creep=0.002, noise=0).play(played.voltage, time=played.time)
     signal = np.cos(2 * np.pi * y / 316.4e-9)
     record = record_of_periodic(played.time, played.voltage, signal, 316.4e-9, kind="fringe", name="a")
-    return dehyst.identify(record)
+    return dehyst.identify(record), record
 
 
-def test_errors_are_those_of_the_events(fit):
+def test_a_record_has_one_count_of_events_and_samples(fitted):
+    fit, record = fitted
+    told = "\n".join([*record.problems(), *fit.repairs, *dehyst.check(fit.actuator, record).remarks])
+    counts = {(int(events), int(samples)) for events, samples in re.findall(r"(\d+) events of (\d+) samples", told)}
+    assert counts == {(np.count_nonzero(record.measured), len(record))} and len(record) > 20_000
+    left = [(float(s), int(n)) for s, n in re.findall(r"([\d.]+) s \((\d+) samples", told)]
+    assert left and all(n / s == pytest.approx(1000, rel=0.1) for s, n in left)
+
+
+def test_errors_are_those_of_the_events(fitted):
+    fit, _ = fitted
     (trace,), (error,) = fit.traces, fit.errors
     counted = trace.counted
     assert counted.time.size == error.samples < 0.5 * trace.time.size

@@ -281,7 +281,7 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
     given = of_one_axis(record)
     whole, holes, left_out = cleaning.clean(given, ringing=ringing)
     first, last = cleaning.rest_at_ends(whole)
-    counted = np.ones(len(whole), dtype=bool) if (known := counting(whole)) is None else known
+    counted, every = usable(whole), whole.meta.get("every", 1)
     rests = [(int(counted[:first].sum()), "before"), (int(counted[last:].sum()), "after")]
     record = whole[first:last] if last - first < len(whole) else whole
     if first and not usable(whole)[first - 1]:
@@ -290,7 +290,7 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
     record.check_usable()
     sentences = [*left_out]
     sentences += [
-        f"{record.name}: at rest for {count * record.sample_time:.4g} s ({count} samples) {end} its motion; "
+        f"{record.name}: at rest for {count * record.sample_time:.4g} s ({every * count} samples) {end} its motion; "
         "that time does not count."
         for count, end in rests
         if count
@@ -305,8 +305,8 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
     if dropped:
         until = float(record.time[dropped] - record.time[0])
         sentences.append(
-            f"{record.name}: the first {until:.4g} s ({dropped} samples) lie outside the later loops and are left out: "
-            "a start-up transient, or a rise from an unknown state."
+            f"{record.name}: the first {until:.4g} s ({every * dropped} samples) lie outside the later loops and are "
+            "left out: a start-up transient, or a rise from an unknown state."
         )
     pieces, gaps = cleaning.split_at_gaps(kept, holes)
     lead = whole[: first + dropped] if first + dropped > 1 else None

@@ -81,16 +81,21 @@ def at_samples(time: Array, voltage: Array, event_time: ArrayLike, position: Arr
 
 
 def thinned(record: Record) -> Record:
-    """Return a record of events with fewer samples, because nothing is measured between the events."""
+    """Return a record of events with fewer samples, and in its meta the recorded events and samples, and the step."""
     known = record.measured
-    if known is None or len(record) < 2 * _MOST or np.count_nonzero(known) < _FEWEST:
+    if known is None:
         return record
-    # Events are near one another where the stage is fast.
-    apart = int(np.quantile(np.diff(np.flatnonzero(known)), _NEAR))
-    coarse = record[np.arange(0, len(record), max(min(len(record) // _MOST, apart), 1))]
+    at, every = np.flatnonzero(known), 1
+    if len(record) >= 2 * _MOST and at.size >= _FEWEST:
+        # Events are near one another where the stage is fast.
+        every = max(min(len(record) // _MOST, int(np.quantile(np.diff(at), _NEAR))), 1)
+    meta = {"recorded": (at.size, len(record)), **record.meta, "every": every * record.meta.get("every", 1)}
+    if every == 1:
+        return replace(record, meta=meta)
+    coarse = record[np.arange(0, len(record), every)]
     own = known & (record.time <= coarse.time[-1])
     y = at_samples(coarse.time, coarse.voltage, record.time[own], record.displacement[own])
-    return replace(coarse, displacement=y, measured=~np.isnan(y))
+    return replace(coarse, displacement=y, measured=~np.isnan(y), meta=meta)
 
 
 def record_of_periodic(

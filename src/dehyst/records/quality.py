@@ -154,8 +154,8 @@ def _of_samples(whole: Record, record: Record) -> Iterator[str]:
         yield f"Only {points:.0f} samples a cycle; 50 or more show the loop's corners."
     signals = [("voltage", "V"), ("displacement", "m")][: 2 if record.measured is None else 1]
     if record.measured is not None:
-        events = int(np.count_nonzero(record.measured))
-        yield f"The displacement is known at {counted(events, 'event')} of {len(record)} samples; only these count."
+        events, samples = record.meta.get("recorded", (np.count_nonzero(record.measured), len(record)))
+        yield f"The displacement is known at {counted(int(events), 'event')} of {samples} samples; only these count."
     for column, unit in signals:
         step, part = resolution(getattr(record, column))
         moves = np.diff(getattr(record, column)) != 0.0

@@ -93,8 +93,7 @@ def white_noise(values: Array) -> float:
         return 0.0
     if len(values) > _STRETCHES * _STRETCH:
         values = sliding_window_view(values, _STRETCH)[:: len(values) // _STRETCHES]
-    spread = float(np.median(np.abs(np.diff(values, _ORDER))))
-    return spread / QUARTILE / sqrt(comb(2 * _ORDER, _ORDER))
+    return float(np.median(np.abs(np.diff(values, _ORDER)))) / QUARTILE / sqrt(comb(2 * _ORDER, _ORDER))
 
 
 def sensor_noise(time: Array, voltage: Array, displacement: Array, known: Mask | None = None) -> float:
@@ -111,7 +110,6 @@ def sensor_noise(time: Array, voltage: Array, displacement: Array, known: Mask |
     rows = np.arange(displacement.size)[slice(None) if new is None else new][:_ROWS]
     if rows.size < 5:
         return noise
-    # Few events follow the voltage more straightly than the time.
     clock = time if known is None else voltage
     t, v, y = (sliding_window_view(signal[rows], 5) for signal in (clock, voltage, displacement))
     straight = np.abs(np.sign(np.diff(v, axis=1)).sum(axis=1)) == 4

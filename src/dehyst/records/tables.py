@@ -207,8 +207,7 @@ class Table:
         fits = [c for c in fits if c.parts[1] in units] or fits
         if quantity == "displacement" and fits and all(c.parts[0].lower() in _AXES for c in fits):
             return [c for c in self.columns if c.parts[0].lower() in _AXES and c.parts[1] in units] or fits
-        more = {*known.more.split(", ")}
-        return fits or [c for c in self.columns if c.words & more and c.parts[1] in units]
+        return fits or [c for c in self.columns if c.words & {*known.more.split(", ")} and c.parts[1] in units]
 
     def _named(self, name: str) -> list[Column]:
         """Return the columns with a name, a last part of a name, a name without unit, or a number."""

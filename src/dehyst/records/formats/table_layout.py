@@ -82,8 +82,7 @@ class _Shape(NamedTuple):
         if len(row) < self.width or not beyond or (words and any(is_number(row[k]) for k in self.numeric)):
             return ()
         # Programs write no name above a count in the first column.
-        needed = self.numeric[1:] or self.numeric
-        return tuple(row[: self.width]) if all(row[k] for k in needed) else ()
+        return tuple(row[: self.width]) if all(row[k] for k in self.numeric[1:] or self.numeric) else ()
 
     def is_row(self, row: list[str]) -> bool:
         """Whether a line above the table may be a row of it with a fault, which must not be left out."""

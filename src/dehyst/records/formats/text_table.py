@@ -171,8 +171,7 @@ class _Table:
             if not self.decimal and is_number(cell):
                 fault = "whose decimal sign the rows before it do not show; state it, as decimal=point"
             self.faults[place] = f"row {numbers[cells.index(cell)]} holds '{shortened(cell)}', {fault}"
-        unread = is_clock or place in self.faults
-        return np.full(len(cells), np.nan) if unread else np.array(values)
+        return np.full(len(cells), np.nan) if is_clock or place in self.faults else np.array(values)
 
     def _cells(self, before: int, lines: list[str]) -> Iterator[tuple[int, list[str]]]:
         """Yield line number and cells of each row, without comments; raise FileFormatError for a wrong length."""
