@@ -61,8 +61,7 @@ def slew_option(text: str, *only: Condition) -> Any:
 
 def limits_option(text: str, *only: Condition) -> Any:
     """Return the declaration of an option for the limits of all axes or of one."""
-    kinds = (_AxisNumber(), NUMBER)
-    return option(text, kinds, *only, multiple=True, metavar="[AXIS=]LOW HIGH", callback=_of_axes)
+    return option(text, (_AxisNumber(), NUMBER), *only, multiple=True, metavar="[AXIS=]LOW HIGH", callback=_of_axes)
 
 
 def _of_axes(ctx: click.Context, option: click.Parameter, given: Sequence[Any]) -> OfAxes:

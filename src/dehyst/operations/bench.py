@@ -13,6 +13,7 @@ import numpy as np
 
 from dehyst._errors import DehystError, RigError
 from dehyst._io import demand_own_folder
+from dehyst._views.lines import percent
 from dehyst.calibration import Calibration, Plan
 from dehyst.calibration import calibrate as run_calibration
 from dehyst.calibration.plan import steps
@@ -183,7 +184,8 @@ def _lines(calibration: Calibration, output: Path) -> Iterator[str]:
     fit, axes = calibration.fit, calibration.compensated.axes
     yield from fit.summary().split("\n") if not isinstance(fit, Fit) else [fit.summary().split("\n")[0]]
     what = "of all axes together, in % of the stroke of each" if axes else "of nine reversals, in % of the stroke"
-    yield f"Measured along a path {what}:"
+    noise = percent(*max((recheck.noise, recheck.stroke) for recheck in calibration.checked))
+    yield f"Measured minus wanted along a path {what}, with the sensor's offset and noise ({noise} RMS):"
     for name, path in (("nominal", calibration.nominal), ("compensated", calibration.compensated)):
         for axis, tracked in zip(axes or ("",), path.each, strict=True):
             word = f"axis {axis:6s} " if axis else ""

@@ -103,8 +103,7 @@ def read_path(
     if not known.several and not columns.displacement and len(lengths) == 1 and not table.fitting("displacement"):
         columns = replace(columns, displacement=lengths[0])
     wanted = known.values(table, "displacement", columns)
-    warmth = temperature_of(known, columns, table)
-    return wanted + 1e-6 * zero if zero else wanted, warmth, clock_of(table, columns)
+    return wanted + 1e-6 * zero if zero else wanted, temperature_of(known, columns, table), clock_of(table, columns)
 
 
 def reach_remarks(
