@@ -216,6 +216,8 @@ def test_a_planned_path_has_the_gain_and_the_offset_of_its_compensator(name, kno
         stepped = Compensator(actuator, period=0.01, state=start.state)
         stepped.scale(gain, offset)
         np.testing.assert_allclose(planned.voltage[planned.first :], stepped.run(offset + gain * wanted), atol=1e-9)
+    assert loop.reach == pytest.approx(offset + gain * np.array(plain.reach), rel=1e-12)
+    assert [bool(loop._straying(0, wanted + share * np.ptp(plain.reach))) for share in (0, 2)] == [False, True]
     seen = plan_voltage(loop, planned.voltage, time=planned.time, start=planned.start)
     if known and actuator.dynamics is None:
         np.testing.assert_allclose(seen.expected, planned.expected, atol=1e-12)

@@ -14,31 +14,13 @@ HOSTILE = "<script>alert(\"1\")</script> & 'x' $\\frac{1}$\n\u202e"
 
 
 @pytest.fixture(scope="module")
-def plant():
-    return plain_records.plant(6)
-
-
-@pytest.fixture(scope="module")
-def record(plant):
-    return plain_records.loops(plant, plain_records.DESCENDING_TOPS, samples=30, noise=5e-9, name=HOSTILE)
-
-
-@pytest.fixture(scope="module")
-def fit(record):
-    return dehyst.identify(record, structure="maxwell_slip")
-
-
-@pytest.fixture(scope="module")
-def insight(fit, record):
-    path = np.linspace(2e-6, 12e-6, 20)
-    return dehyst.insight(fit.actuator, record, plan=plan_path(dehyst.Compensator(fit.actuator), path))
-
-
-@pytest.fixture(scope="module")
-def things(record, fit, insight):
+def things():
+    turns, path = plain_records.DESCENDING_TOPS, np.linspace(2e-6, 12e-6, 20)
+    record = plain_records.loops(plain_records.plant(6), turns, samples=30, noise=5e-9, name=HOSTILE)
+    fit = dehyst.identify(record, structure="maxwell_slip")
     actuator = fit.actuator
-    motion = actuator.simulate([0.0, 20.0, 10.0])
-    command = dehyst.plan_path(actuator, np.linspace(2e-6, 12e-6, 20), home=True)
+    motion, command = actuator.simulate([0.0, 20.0, 10.0]), plan_path(actuator, path, home=True)
+    insight = dehyst.insight(actuator, record, plan=plan_path(actuator, path))
     hostile = replace(actuator, name=HOSTILE)
     return {
         "record": record,
@@ -70,9 +52,9 @@ def test_an_actuator_whose_loops_cannot_be_computed_can_be_printed():
     assert "1 slip element" in repr(actuator)
 
 
-def test_a_mistyped_name_gets_a_suggestion(fit):
+def test_a_mistyped_name_gets_a_suggestion(things):
     with pytest.raises(dehyst.ModelError, match="you mean 'residuals'"):
-        fit.plot("residual")
+        things["fit"].plot("residual")
     with pytest.raises(AttributeError) as caught:
         _ = dehyst.identfy
     assert (caught.value.name, caught.value.obj) == ("identfy", dehyst)

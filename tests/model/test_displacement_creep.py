@@ -6,7 +6,7 @@ import numpy as np
 import plain_records
 import pytest
 
-from dehyst import ClampWarning, Compensator, DisplacementCreep, Dynamics, ModelError, Thermal
+from dehyst import ClampWarning, Compensator, DisplacementCreep, Dynamics, Thermal
 from dehyst.model import knots_of, turned
 
 PLANT = plain_records.plant(10, seed=4)
@@ -57,28 +57,6 @@ def test_a_held_voltage_ends_at_the_displacement_at_rest():
     held = CREEPING.simulate(np.full(3, 80.0), time=[0.0, 100.0, 1e4], state=CREEPING.relaxed(0.0))
     assert held.displacement[-1] == pytest.approx(1.09 * held.state.deformation, rel=1e-12)
     assert CREEPING.displacement(held.state) == pytest.approx(held.displacement[-1], rel=1e-14)
-
-
-def with_scale(gain, offset=0.0):
-    Compensator(CREEPING, (0, 200), period=1e-3).scale(gain, offset)
-
-
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: Compensator(CREEPING, (0, 100)).step(0.0),
-        lambda: with_scale(0.0),
-        lambda: with_scale(-1.0),
-        lambda: with_scale(np.nan),
-        lambda: with_scale(1.0, np.nan),
-        lambda: Compensator(CREEPING, (0, 200), period=1e-3).step(5e-6, 30.0),
-        lambda: Compensator(THERMAL, (0, 200), period=1e-3).step(5e-6, -300.0),
-        lambda: Compensator(THERMAL, (0, 200), period=1e-3).step(5e-6, "warm"),
-    ],
-)
-def test_invalid_arguments_are_refused(make):
-    with pytest.raises(ModelError):
-        make()
 
 
 def test_a_snapshot_keeps_gain_and_offset_of_a_loop():

@@ -154,30 +154,6 @@ def test_a_part_is_restored_from_a_file_and_other_objects_are_refused(part):
             Actuator.from_dict(data)
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: Spring([0], [0]),
-        lambda: Transformer([0], [0]),
-        lambda: GradedSlip([1, 2], [0], [[], []]),
-        lambda: GradedSlip([1, 2], [0, 1], [[1], [1], [1]]),
-        lambda: State("far", [0]),
-        lambda: State(np.nan, [0]),
-        lambda: State(0, [np.nan]),
-        lambda: State(0, [[0]]),
-        lambda: State(0, [0], motion=[1]),
-        lambda: Actuator(MaxwellSlip([1e200], [1e200]), SPRING),
-        lambda: Actuator(SLIP, SPRING, State(0, [0])),
-        *(lambda limits=limits: Actuator(SLIP, SPRING, limits=limits) for limits in ((5, 5), ("a", "b"), (1,), 3)),
-        *(lambda place=place: turned(Actuator(SLIP, SPRING), place) for place in ("far", np.nan)),
-        lambda: Actuator(SLIP, SPRING).relaxed("off"),
-    ],
-)
-def test_wrong_shapes_are_refused(make):
-    with pytest.raises(ModelError):
-        make()
-
-
 TIME = {"time": [0.0, 1.0]}
 CONSTANTS = {"transformer_ratio": 0.042, "mechanical_stiffness": 1.4e6, "electrical_stiffness": 8.82e4}
 
@@ -212,28 +188,6 @@ def test_arguments_that_do_not_fit_the_parts_are_refused(run, part, given):
             replace(actuator, state=given["state"])
 
 
-def test_rates_of_another_size_are_refused():
-    for rate in ("velocity", "acceleration"):
-        with pytest.raises(ModelError):
-            actuator_with("dynamics").compensate([0.0, 1e-6], **TIME, **{rate: [1.0]})
-
-
-@pytest.mark.parametrize(
-    ("part", "constants"),
-    [("graded", CONSTANTS), ("transformer", CONSTANTS), ("slip", CONSTANTS | {"transformer_ratio": 0})],
-)
-def test_a_model_without_physical_constants_is_refused(part, constants):
-    with pytest.raises(ModelError):
-        Physical.of(actuator_with(part), **constants)
-
-
-@pytest.mark.parametrize("motion", [[0.0], [1.0, 1.0]])
-def test_the_core_refuses_a_motion_of_an_actuator_without_a_mass(motion):
-    core = evaluator_of(actuator_with("smooth")).core
-    with pytest.raises(ModelError):
-        core.voltage(CoreState(0.0, np.zeros(2), np.array(motion), np.zeros(0)))
-
-
 UNIFORM = MaxwellSlip([3e-7, 6e-7, 9e-7], [1.7e6, 2.9e6, 3.2e6])
 NARROW = Spring([-1e-6, 0.0, 4e-7, 6e-7], [-10.0, -4.3, -1.9, 0.3])
 PLAIN = Actuator(UNIFORM, NARROW, limits=(-10.0, 0.3))
@@ -246,9 +200,43 @@ def swinging(damping):
     return replace(PLAIN, dynamics=Dynamics(1.6e3, damping))
 
 
+def at_rest(motion):
+    core = evaluator_of(actuator_with("smooth")).core
+    return core.voltage(CoreState(0.0, np.zeros(2), motion, np.zeros(0)))
+
+
+def loop(part="displacement_creep"):
+    return Compensator(actuator_with(part), (0, 100), period=1e-3)
+
+
 @pytest.mark.parametrize(
     "call",
     [
+        # Other shapes and types.
+        lambda: Spring([0], [0]),
+        lambda: Transformer([0], [0]),
+        lambda: GradedSlip([1, 2], [0], [[], []]),
+        lambda: GradedSlip([1, 2], [0, 1], [[1], [1], [1]]),
+        lambda: State("far", [0]),
+        lambda: State(np.nan, [0]),
+        lambda: State(0, [np.nan]),
+        lambda: State(0, [[0]]),
+        lambda: State(0, [0], motion=[1]),
+        lambda: Actuator(MaxwellSlip([1e200], [1e200]), SPRING),
+        lambda: Actuator(SLIP, SPRING, State(0, [0])),
+        *(lambda limits=limits: Actuator(SLIP, SPRING, limits=limits) for limits in ((5, 5), ("a", "b"), (1,), 3)),
+        *(lambda place=place: turned(Actuator(SLIP, SPRING), place) for place in ("far", np.nan)),
+        lambda: Actuator(SLIP, SPRING).relaxed("off"),
+        lambda: actuator_with("dynamics").compensate([0.0, 1e-6], **TIME, velocity=[1.0]),
+        lambda: actuator_with("dynamics").compensate([0.0, 1e-6], **TIME, acceleration=[1.0]),
+        *(lambda part=part: Physical.of(actuator_with(part), **CONSTANTS) for part in ("graded", "transformer")),
+        lambda: Physical.of(actuator_with("slip"), **CONSTANTS | {"transformer_ratio": 0}),
+        # The motion of an actuator without a mass.
+        *(lambda motion=motion: at_rest(np.array(motion)) for motion in ([0.0], [1.0, 1.0])),
+        *(lambda scale=scale: loop().scale(*scale) for scale in ((0.0,), (-1.0,), (np.nan,), (1.0, np.nan))),
+        lambda: loop().step(5e-6, 30.0),
+        *(lambda degrees=degrees: loop("thermal").step(5e-6, degrees) for degrees in (-300.0, "warm")),
+        # Numbers out of range.
         lambda: Actuator(UNIFORM, NARROW, limits=(-1e308, 1e308)),
         lambda: CREEPING.simulate([0.0, -1.0], time=[-1.7e308, 1.7e308]),
         lambda: swinging(0.1).simulate([0.0, -1.0], time=[0.0, 1e20]),
@@ -260,7 +248,7 @@ def swinging(damping):
         lambda: Compensator(PLAIN, state=FAR),
     ],
 )
-def test_numbers_out_of_range_are_refused(call):
+def test_impossible_arguments_are_refused(call):
     with pytest.raises(ModelError):
         call()
 
