@@ -10,7 +10,7 @@ from laboratory_files import UM, T, V, Y
 from text_traps import FAST, HEAD, NOISE, NOISY, TRAPS, comma, drive, point, table
 
 import dehyst
-from dehyst._errors import DehystError, FileFormatError
+from dehyst._errors import DecimalSignError, DehystError, FileFormatError
 from dehyst.records import Columns, read, read_table
 from dehyst.records.columns import entries_of
 from dehyst.records.tables import ColumnsError
@@ -31,16 +31,21 @@ def is_right(record):
     )
 
 
-# More whole numbers than are read at once, before a number with a sign: the sign, and the numbers of a column with it.
+# More whole numbers than are read at once, before a number with a sign; the value of this number, None if refused.
 MANY = "a;b\n" + "1;2\n" * 60_000 + "{};2\n"
-LATE = [("1.234", None, []), ("1.5", None, []), ("1,5", None, []), ("1,5", "comma", [1] * 60_000 + [1.5])]
+LATE = [("1.5", None, 1.5), ("1,5", None, 1.5), ("1,5", "comma", 1.5), ("1.234", "point", 1.234), ("1.234", None, None)]
 
 
-@pytest.mark.parametrize(("cell", "decimal", "values"), LATE)
-def test_a_late_decimal_sign_is_not_guessed(tmp_path, cell, decimal, values):
+@pytest.mark.parametrize(("cell", "decimal", "value"), LATE)
+def test_a_late_decimal_sign_is_read_or_doubtful(tmp_path, cell, decimal, value):
     (tmp_path / "a.csv").write_text(MANY.format(cell))
+    if value is None:
+        with pytest.raises(DecimalSignError) as caught:
+            read_table(tmp_path / "a.csv")
+        assert caught.value.change == ("decimal",)
+        return
     first, second = read_table(tmp_path / "a.csv", Columns(decimal=decimal)).columns
-    assert (first.data.tolist(), bool(first.fault), second.data.sum()) == (values, not values, 2 * 60_001)
+    assert (first.data[:-1].sum(), first.data[-1], second.data.sum()) == (60_000, value, 2 * 60_001)
 
 
 def test_a_given_decimal_sign_that_the_file_contradicts_is_refused(tmp_path):

@@ -39,9 +39,9 @@ def cells_of(line: str, delimiter: str | None) -> list[str]:
 
 def number_in(cell: str, decimal: str = ".") -> float:
     """Return a cell's number, NaN if empty; raise ValueError for what only Python reads: 1_000, other digits."""
-    if "_" in cell or not cell.isascii() or (decimal != "." and "." in cell):
+    if "_" in cell or not cell.isascii() or (decimal == "," and "." in cell):
         raise ValueError(cell)
-    return float((cell.replace(decimal, ".") if decimal else cell) or "nan")
+    return float(cell.replace(decimal, ".") or "nan")
 
 
 def is_number(cell: str) -> bool:
@@ -54,7 +54,7 @@ def is_number(cell: str) -> bool:
 
 
 def decimal_sign(before: int, block: list[str], delimiter: str | None) -> str:
-    """Return the decimal sign that the first block of rows shows; empty if there is none, and later ones need a user.
+    """Return the decimal sign that a block of rows shows; empty if it shows none.
 
     `before`: number of lines before the block. Raise `DecimalSignError` if the cells do not show whether a sign groups
     digits, and `FileFormatError` if they show both signs.
@@ -66,10 +66,9 @@ def decimal_sign(before: int, block: list[str], delimiter: str | None) -> str:
             hint="save it with points, or state the sign: columns with the other one are left out",
             change=("decimal",),
         )
+    sign, (first, sure) = next(iter(found.items()), ("", ("", True)))
     # Numbers that commas or blanks separate usually have a decimal point.
-    usual = "." if delimiter in (",", ", ", None) else ""
-    sign, (first, sure) = next(iter(found.items()), (usual, ("", True)))
-    if not sure and sign != usual:
+    if not sure and not (sign == "." and delimiter in (",", ", ", None)):
         raise DecimalSignError(
             f"{first}, which is a number with three decimals or a thousand times as large: no cell shows whether the "
             f"{_SIGNS[sign]} is the decimal sign or groups digits",
@@ -84,7 +83,7 @@ def _shown(before: int, block: list[str], delimiter: str | None, sign: str) -> t
     number, first = re.compile(_SIGNED.format(sign)), ""
     # Between commas, a cell with a comma is in quotes.
     mark = '"' if sign == delimiter else sign
-    for line, text in enumerate(block, before + 1):
+    for line, text in enumerate(block if mark in "".join(block) else (), before + 1):
         # The last line of a file may be cut off in the middle of a number.
         if mark not in text or not (text.endswith("\n") or len(block) == 1):
             continue

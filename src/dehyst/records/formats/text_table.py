@@ -23,7 +23,6 @@ from dehyst.records.formats.notation import (
     clock_of,
     decimal_sign,
     is_moment,
-    is_number,
     moment,
     number_in,
 )
@@ -98,7 +97,7 @@ class _Table:
     def __init__(self, blocks: Blocks, layout: Layout, decimal: str | None) -> None:
         self.blocks, self.layout, self.delimiter = blocks, layout, layout.delimiter
         self.names, self.width = layout.names, len(layout.names)
-        self.decimal = decimal
+        self.decimal = decimal or ""
         self.count, self.hole = 0, 0
         self.faults: dict[int, str] = {}
         self.clocks: dict[int, list[Moment]] = {}
@@ -108,9 +107,9 @@ class _Table:
         """Read all rows; raise FileFormatError if there are none, or if these are several tables."""
         columns = [np.empty(0) for _ in range(self.width)]
         for number, block in self.blocks():
-            if self.decimal is None:
-                self.decimal = decimal_sign(number, block, self.delimiter)
-            numbers = self._at_once(block, self.decimal)
+            # Rows without any sign are the same under either one.
+            self.decimal = self.decimal or decimal_sign(number, block, self.delimiter)
+            numbers = self._at_once(block)
             numbers = self._by_rows(number, block) if numbers is None else numbers
             end = self.count + len(numbers)
             allowance.take(numbers.size, "the next part of its rows")
@@ -134,12 +133,12 @@ class _Table:
             column.flags.writeable = False
         return [self._column(place, column) for place, column in enumerate(columns)]
 
-    def _at_once(self, lines: list[str], decimal: str) -> Array | None:
+    def _at_once(self, lines: list[str]) -> Array | None:
         """Read a block whose lines are all rows of numbers; return None for other blocks."""
-        if self.clocks or self.hole or (decimal and decimal in (self.delimiter or "")):
+        if self.clocks or self.hole or (self.decimal and self.decimal in (self.delimiter or "")):
             return None
-        # A point beside decimal commas, or after rows without any sign, must not be read as one.
-        rows = lines if decimal == "." else [line.replace(".", "'").replace(decimal or ".", ".") for line in lines]
+        # A point beside decimal commas must not be read as one.
+        rows = [line.replace(".", "'").replace(",", ".") for line in lines] if self.decimal == "," else lines
         try:
             data = np.loadtxt(rows, delimiter=self.delimiter, comments=None, ndmin=2)
         except ValueError:
@@ -163,14 +162,12 @@ class _Table:
         is_clock = place in self.clocks
         try:
             for cell in cells if place not in self.faults else ():
-                values.append(moment(cell) if is_clock else number_in(cell, self.decimal or ""))
+                values.append(moment(cell) if is_clock else number_in(cell, self.decimal or "."))
         except ValueError:
             kind = "timestamp" if is_clock else "number with a decimal comma" if self.decimal == "," else "number"
             kind += ", nor a timestamp as 2026-03-04T12:00:00" * (not is_clock and cell.count(":") == 2)
-            fault = f"which is no {kind}; correct it"
-            if not self.decimal and is_number(cell):
-                fault = "whose decimal sign the rows before it do not show; state it, as decimal=point"
-            self.faults[place] = f"row {numbers[cells.index(cell)]} holds '{shortened(cell)}', {fault}"
+            line = numbers[cells.index(cell)]
+            self.faults[place] = f"row {line} holds '{shortened(cell)}', which is no {kind}; correct it"
         return np.full(len(cells), np.nan) if is_clock or place in self.faults else np.array(values)
 
     def _cells(self, before: int, lines: list[str]) -> Iterator[tuple[int, list[str]]]:
