@@ -75,10 +75,7 @@ class State(Entries):
         return state
 
     def __repr__(self) -> str:
-        more = {
-            "smooth elongations": self.smooth,
-            "creep strains": self.displacement_creep,
-        }
+        more = {"smooth elongations": self.smooth, "creep strains": self.displacement_creep}
         parts = "".join(f", {values.size} {name}" for name, values in more.items() if values.size)
         speed = f", {self.motion[1]:.4g} m/s" if self.motion.size else ""
         return f"<State: deformation {self.deformation * 1e6:.6g} um{speed}, {counted(self.carts.size, 'cart')}{parts}>"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,8 +31,9 @@ _AT_REST = 0.1
 ALIKE, _BEYOND, _DRIFTS = 1.5, 0.02, 2.0
 # Least voltage range of an excitation that tests a rate, as a part of the voltage range of the records.
 _NARROWEST = 0.1
-# Frequency [Hz] of an excitation without an option; factor by which a sample rate exceeds the least possible rate.
-_FREQUENCY, _SPARE = 0.1, 1.1
+# Frequency [Hz] of an excitation without an option; factor by which a sample rate exceeds the least possible rate; part
+# by which a frequency may differ from a round number; samples of a slow cycle that resolve the fastest branches.
+_FREQUENCY, _SPARE, _ROUND, _FINE = 0.1, 1.1, 0.01, 1e4
 
 
 def branches_of(voltage: Array, span: float) -> NDArray[np.intp]:
@@ -113,41 +114,66 @@ def are_tested(path: Array, rising: NDArray[np.bool_], falling: NDArray[np.bool_
 
 
 @dataclass(frozen=True)
+class Excite:
+    """A `dehyst excite` command in SI units, by default one that tests any path; 0 is the default of an option."""
+
+    high: float
+    low: float
+    kind: str = "recommended"
+    hold: float = 0.0
+    cycles: int = 0
+    frequency: float = _FREQUENCY
+    slew_rate: float = 0.0
+    sample_rate: float = 0.0
+
+    @property
+    def speed(self) -> float:
+        """Largest speed [V/s]."""
+        faster = FASTER if self.kind == "recommended" else 1.0
+        return min(2 * STEEPEST * self.frequency * (self.high - self.low) * faster, self.slew_rate or np.inf)
+
+    def with_cycle(self, seconds: float) -> Excite:
+        """Return an excitation with cycles that take `seconds`, or with a round frequency within 1 % of that."""
+        rounded = (float(digits(1 / seconds, count)) for count in (1, 2, 3))
+        return replace(self, frequency=next(number for number in rounded if abs(number * seconds - 1) < _ROUND))
+
+    def within(self, allowed: float | None, step: float = 0.0, *, fine: bool = False) -> Excite:
+        """Return an excitation that keeps to an `allowed` slew rate [V/s].
+
+        `step`: largest one [V] between samples, 0 for any; `fine`: with samples that resolve its fastest branches.
+        """
+        kept = self if allowed is None or self.speed <= allowed else replace(self, slew_rate=allowed)
+        rates = fine * _FINE * self.frequency, _SPARE * kept.speed / step if step else 0.0
+        return replace(kept, sample_rate=float(digits(max(rates))))
+
+    def __str__(self) -> str:
+        # The voltages are rounded inwards, as the stage may not allow more.
+        step = 10.0 ** (np.floor(np.log10(self.high - self.low)) - 3)
+        top, base = step * np.floor(self.high / step + 1e-6), step * np.ceil(self.low / step - 1e-6)
+        base = base if abs(base) > 1e-3 * top else 0.0
+        numbers = {name: getattr(self, name) for name in ("hold", "cycles", "frequency", "slew_rate", "sample_rate")}
+        given = {name: digits(number, 6) for name, number in numbers.items() if number != getattr(Excite, name)}
+        options = "".join(f"--{name.replace('_', '-')} {number} " for name, number in given.items())
+        # Different excitations have different files.
+        file = "_".join([self.kind, f"{top:g}", *[f"{base:g}"] * bool(base), *given.values()])
+        return f"dehyst excite {self.kind} {top:g} --base {base:g} {options}-o {file}.csv"
+
+
+@dataclass(frozen=True)
 class Untested:
     """A property of a path that the records do not test.
 
-    `what`: "voltages", "turns", "speed", "rate", "drift", "hold" or "temperature". `sentence`: in words. `command`: the
-    `dehyst excite` command that tests it; empty for a drift or a temperature, which need no other excitation.
-    `speed`: largest speed [V/s] of this excitation.
+    `what`: "voltages", "turns", "speed", "rate", "drift", "hold" or "temperature". `sentence`: in words. `command`: an
+    excitation that tests it; None for a drift or a temperature, which need no other excitation.
     """
 
     what: str
     sentence: str
-    command: str = ""
-    speed: float = 0.0
+    command: Excite | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return json_values(self, "what sentence command")
-
-
-def excitation(
-    high: float, low: float, option: str = "", kind: str = "recommended", speed: float = 0.0
-) -> tuple[str, float]:
-    """Return the command of an excitation, by default one that tests any path, and its largest speed [V/s]."""
-    speed = speed or 2 * STEEPEST * _FREQUENCY * (high - low) * (FASTER if kind == "recommended" else 1.0)
-    # The voltages are rounded inwards, as the stage may not allow more.
-    step = 10.0 ** (np.floor(np.log10(high - low)) - 3)
-    top, base = step * np.floor(high / step + 1e-6), step * np.ceil(low / step - 1e-6)
-    base = base if abs(base) > 1e-3 * top else 0.0
-    # Different excitations have different files.
-    file = "_".join([kind, f"{top:g}", *[f"{base:g}"] * bool(base), *option.split()[1::2]])
-    return f"dehyst excite {kind} {top:g} --base {base:g} {option}-o {file}.csv", speed
-
-
-def sampled(command: str, speed: float, step: float) -> str:
-    """Return the command of an excitation with a `speed` [V/s]; `step` [V]: largest one between samples, 0 for any."""
-    return f"{command} --sample-rate {digits(_SPARE * speed / step)}" if step else command
+        return json_values(self, "what sentence")
 
 
 def untested_by(
@@ -159,13 +185,13 @@ def untested_by(
     if over > _BEYOND * validity.span:
         words = f"The path goes {over:.3g} V beyond the voltages of the records."
         ends = max(high, float(voltage.max())), min(low, float(voltage.min()))
-        yield Untested("voltages", words, *excitation(*ends))
+        yield Untested("voltages", words, Excite(*ends))
     path, edges = voltage[at], np.linspace(low, high, CELLS + 1)
     outside = int(np.count_nonzero(~are_tested(path, *tested_loops(validity.branches, edges), edges)))
     # Records with random turning points also test the turning points between these.
     if outside and not validity.turns_anywhere:
         words = f"{outside} of {len(path)} branches begin where no record turned."
-        yield Untested("turns", words, *excitation(high, low))
+        yield Untested("turns", words, Excite(high, low))
     if time is None or time.size < 2:
         return
     speed, rate = paces_of(time, voltage, at).T
@@ -174,8 +200,8 @@ def untested_by(
     for which, (found, known) in new.items():
         if fastest and (found > ALIKE * known if which == "fastest" else found * ALIKE < known):
             ratio = f"{digits(found / known)} times the {which} of the records"
-            words = f"Its {which} branch takes {found:.3g} V/s on average, {ratio}."
-            yield Untested("speed", words, *_paced(high, low, found, FASTER if which == "fastest" else 1.0))
+            words = f"The mean speed of its {which} branch is {digits(found, 3)} V/s, {ratio}."
+            yield Untested("speed", words, _paced(high, low, found, FASTER if which == "fastest" else 1.0))
     # The excitation for a higher speed also tests the rate of branches over the whole range at this speed.
     often = ALIKE * max(validity.rates[1], speed.max(initial=0.0) / validity.span)
     if fastest and rate.max(initial=0.0) > often:
@@ -184,7 +210,7 @@ def untested_by(
         own = path[rate > often]
         half = 0.5 * max(float(np.ptp(own)), _NARROWEST * validity.span)
         middle = float(np.clip(0.5 * (own.max() + own.min()), low + half, max(high - half, low + half)))
-        yield Untested("rate", words, *_paced(middle + half, middle - half, 2 * half * float(rate.max()), FASTER))
+        yield Untested("rate", words, _paced(middle + half, middle - half, 2 * half * float(rate.max()), FASTER))
     moved = validity.drift * min(float(np.ptp(time)) / validity.lasts, 1.0) if validity.lasts else 0.0
     if moved > _DRIFTS * validity.shown:
         drifted = f"{percent(validity.drift, validity.stroke)} of the stroke in {validity.lasts:.3g} s"
@@ -193,7 +219,7 @@ def untested_by(
     hold = max(waits, hold_of(time, voltage, validity.span))
     if hold > ALIKE * validity.hold:
         words = f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."
-        yield Untested("hold", words, *excitation(high, low, f"--hold {digits(hold)} ", "staircase"))
+        yield Untested("hold", words, Excite(high, low, "staircase", hold=float(digits(hold))))
 
 
 def not_recorded(validity: Validity) -> Iterator[Untested]:
@@ -201,15 +227,15 @@ def not_recorded(validity: Validity) -> Iterator[Untested]:
     low, high = validity.limits
     if not validity.turns_anywhere:
         words = "The records do not turn at random: branches that begin elsewhere are tested little."
-        yield Untested("turns", words, *excitation(high, low))
+        yield Untested("turns", words, Excite(high, low))
     branch = validity.span / validity.speeds[1] if validity.speeds[1] else 0.0
     if branch and validity.hold < branch:
         words = f"The records hold for {validity.hold:.3g} s at most: creep at rest is tested little."
-        yield Untested("hold", words, *excitation(high, low, f"--hold {max(10.0, 2 * branch):.0f} ", "staircase"))
+        yield Untested("hold", words, Excite(high, low, "staircase", hold=round(max(10.0, 2 * branch))))
 
 
-def _paced(high: float, low: float, speed: float, faster: float) -> tuple[str, float]:
-    """Return the command of an excitation with a `speed` [V/s], `faster` times that of its slowest branches."""
+def _paced(high: float, low: float, speed: float, faster: float) -> Excite:
+    """Return an excitation with branches of a mean `speed` [V/s], `faster` times that of its slowest branches."""
     # The fastest branches have the speed of the path and not more.
-    option = f"--frequency {digits(0.5 * speed / faster / (high - low))} --slew-rate {STEEPEST * speed:.3g} "
-    return excitation(high, low, option, speed=STEEPEST * speed)
+    frequency, slew_rate = digits(0.5 * speed / faster / (high - low)), digits(STEEPEST * speed, 3)
+    return Excite(high, low, frequency=float(frequency), slew_rate=float(slew_rate))

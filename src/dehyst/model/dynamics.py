@@ -131,19 +131,14 @@ class Thermal(Entries):
         degrees = Numbers(int(each), least=COLDEST, most=HOTTEST, hint="give it in degC")
         given = np.atleast_1d(degrees(temperature, "temperature"))
         if each and given.size != samples:
-            raise ModelError(
-                argument="temperature", got=f"{given.size} values for {samples} samples", need="one, or one per sample"
-            )
+            got = f"{given.size} values for {samples} samples"
+            raise ModelError(argument="temperature", got=got, need="one, or one per sample")
         kelvins = given - self.reference
         gain = 1 + self.gain * kelvins
         if np.any(gain <= 0):
-            worst = float(given[int(np.argmin(gain))])
-            raise ModelError(
-                f"at {worst:g} degC the displacement would be {gain.min():.3g} times that at "
-                f"{self.reference:g}, need a positive factor",
-                argument="temperature",
-                hint="give it in degC",
-            )
+            times = f"{gain.min():.3g} times that at {self.reference:g}, need a positive factor"
+            got = f"at {given[int(np.argmin(gain))]:g} degC the displacement would be {times}"
+            raise ModelError(got, argument="temperature", hint="give it in degC")
         return gain, self.offset * kelvins
 
     def warmed(self, displacement: Array, temperature: ArrayLike) -> Array:

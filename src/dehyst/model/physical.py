@@ -36,12 +36,7 @@ class Physical:
 
     @classmethod
     def of(
-        cls,
-        actuator: Actuator,
-        *,
-        transformer_ratio: float,
-        mechanical_stiffness: float,
-        electrical_stiffness: float,
+        cls, actuator: Actuator, *, transformer_ratio: float, mechanical_stiffness: float, electrical_stiffness: float
     ) -> Physical:
         """Convert the numbers of an `actuator` to the paper's symbols (Table 1).
 

@@ -99,23 +99,17 @@ class Stage(JsonFile):
         count = len(self.actuators)
         table = np.eye(count) if self.coupling is None else self.coupling
         if table.shape != (count, count):
-            raise ModelError(
-                argument="coupling",
-                got=f"{table.shape[0]} x {table.shape[1]} numbers for {count} axes",
-                need="one per pair",
-            )
+            got = f"{table.shape[0]} x {table.shape[1]} numbers for {count} axes"
+            raise ModelError(argument="coupling", got=got, need="one per pair")
         if np.any(np.diag(table) != 1):
-            raise ModelError(
-                argument="coupling", got=f"the diagonal {np.diag(table).tolist()}", need="1 for each axis itself"
-            )
+            got = f"the diagonal {np.diag(table).tolist()}"
+            raise ModelError(argument="coupling", got=got, need="1 for each axis itself")
         axes = self.axes[:count] if self.axes == DEFAULT_AXES else self.axes
         keep(self, coupling=table, axes=axis_names(axes, count, "stage"))
         if not self.condition < _WORST_CONDITION:
-            raise ModelError(
-                argument="coupling",
-                got=f"a matrix of condition {self.condition:.3g}",
-                need=f"one below {_WORST_CONDITION:g}: its axes cannot be distinguished",
-            )
+            got = f"a matrix of condition {self.condition:.3g}"
+            need = f"one below {_WORST_CONDITION:g}: its axes cannot be distinguished"
+            raise ModelError(argument="coupling", got=got, need=need)
 
     def __repr__(self) -> str:
         off = self.coupling - np.eye(len(self.axes))
@@ -258,11 +252,8 @@ class Stage(JsonFile):
         """Return `values` (n, axes) as an array; raise `ModelError` with the name `what` if the shape differs."""
         table = matrix(values, what)
         if table.shape[1] != len(self.actuators):
-            raise ModelError(
-                argument=what,
-                got=f"{table.shape[1]} columns",
-                need=f"{len(self.actuators)}, one for each of the axes {', '.join(self.axes)}",
-            )
+            need = f"{len(self.actuators)}, one for each of the axes {', '.join(self.axes)}"
+            raise ModelError(argument=what, got=f"{table.shape[1]} columns", need=need)
         return table
 
 

@@ -90,11 +90,9 @@ def demand_thermal(*thermals: Thermal | None) -> Thermal:
     for thermal in thermals:
         if thermal is not None:
             return thermal
-    raise ModelError(
-        f"{'this actuator does' if len(thermals) == 1 else 'these actuators do'} not depend on temperature",
-        argument="temperature",
-        hint="leave it out, or identify the model from records at several temperatures",
-    )
+    words = f"{'this actuator does' if len(thermals) == 1 else 'these actuators do'} not depend on temperature"
+    hint = "leave it out, or identify the model from records at several temperatures"
+    raise ModelError(words, argument="temperature", hint=hint)
 
 
 def temperature_columns(temperature: ArrayLike, samples: int, axes: int) -> Array:
@@ -108,8 +106,6 @@ def temperature_columns(temperature: ArrayLike, samples: int, axes: int) -> Arra
             raise ValueError
         return np.broadcast_to(given[:, None] if given.ndim == 1 else given, (samples, axes))
     except (TypeError, ValueError) as error:
-        raise ModelError(
-            argument="temperature",
-            got=f"{np.shape(temperature) or repr(temperature)} for {samples} samples of {axes} axes",
-            need="one number, one per sample, or one per sample and axis",
-        ) from error
+        got = f"{np.shape(temperature) or repr(temperature)} for {samples} samples of {axes} axes"
+        need = "one number, one per sample, or one per sample and axis"
+        raise ModelError(argument="temperature", got=got, need=need) from error

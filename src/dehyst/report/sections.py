@@ -257,7 +257,7 @@ def turned(plane: TurnPlane | None, path: Sequence[Turn] = ()) -> list[Part]:
         speeds = [turn.speed for turn in own]
         speed = f"{number(min(speeds))} to {number(max(speeds))}" if np.isfinite(speeds).all() else "not known"
         rows.append((name, str(sum(turn.times for turn in own)), speed))
-    head = ("Record", "Branches", "Speed (V/s)")
+    head = ("Record", "Branches", "Mean speed of a branch (V/s)")
     beside = f"<div><h3>How fast</h3>\n{html.table(head, rows, 1)}</div>"
     charts = [pictures.turning_points(plane, path)]
     return [Charts("Where the records turned", caption, charts, beside=(beside,))]

@@ -16,16 +16,8 @@ from dehyst._types import Array, Progress
 from dehyst._views.fields import json_values
 from dehyst._views.pictures import Plotted
 from dehyst.control import PathPlan
-from dehyst.identification import (
-    Grid,
-    Identifiability,
-    RecordComparison,
-    compare_all,
-    errors_of,
-    identifiability,
-    probed,
-)
-from dehyst.model import Actuator, Promise, Stage, by_axis, excitation, matrix_lines, sampled, voltages_of
+from dehyst.identification import Identifiability, RecordComparison, compare_all, errors_of, identifiability, probed
+from dehyst.model import Actuator, Excite, Promise, Stage, by_axis, matrix_lines, voltages_of
 from dehyst.records import Record, largest
 from dehyst.trust.recheck import coupling_of
 from dehyst.trust.turn_plane import TurnPlane, turn_plane
@@ -33,6 +25,9 @@ from dehyst.trust.turn_plane import TurnPlane, turn_plane
 # A model was identified from other records if it misses these by more than this [% of their range], and by more than
 # this multiple of its error on its own records.
 _WORTH, _TIMES = 0.5, 3.0
+# Number of samples that shows the error of a branch; duration of a cycle of the recommended excitation, in crossings of
+# the range at the speed of its fastest branch.
+_ENOUGH, _CYCLE = 16, 45.0
 # Half the width of a 90 % interval, in standard errors; half interval above which a coupling is uncertain.
 _DEVIATIONS, _CHANGED = 1.6448536269514722, 0.005
 
@@ -120,7 +115,7 @@ class Insight(Plotted):
         For a model with more parts, the result is that of ten plain Maxwell-slip elements.
         """
         pieces = [piece for item in self.comparisons for _, piece in item.source.pieces]
-        grid = Grid.of_actuator(self.actuator)
+        grid = self.comparisons[0].program.grid
         if self.actuator._wide:
             return probed(pieces, (float(grid.knots[0]), float(grid.knots[-1])))
         sliding = 2 * self.actuator.slip.breakaway < self.stroke * (1 - 1e-9)
@@ -151,13 +146,33 @@ class Insight(Plotted):
 
     @property
     def record_next(self) -> tuple[str, ...]:
-        """Commands that write what to record next; empty if no excitation tests more."""
-        if self.promise is None:
-            low, high = voltages_of(self.actuator)
-            return (excitation(high, low)[0],) if self._open() else ()
+        """Commands that write what to record next; empty if no excitation tests more, or the records do not fit."""
         # Records of a counted signal know the largest step of the voltage in a sample.
-        step, gaps = min(item.given.record.meta.get("step_V", 0.0) for item in self.comparisons), self.promise.untested
-        return tuple(dict.fromkeys(sampled(gap.command, gap.speed, step) for gap in gaps if gap.command))
+        step = min(item.given.record.meta.get("step_V", 0.0) for item in self.comparisons)
+        allowed, fine = self.actuator.identification.allowed_slew_rate, bool(self.few_samples)
+        return tuple(dict.fromkeys(str(each.within(allowed, step, fine=fine)) for each in self._asked()))
+
+    def _asked(self) -> list[Excite]:
+        """Return excitations that test more, whatever slew rate is allowed."""
+        tested, usual = self.actuator.identification.validity, Excite(*voltages_of(self.actuator)[::-1])
+        gaps = self.promise.untested if self.promise and not self._of_others() else ()
+        asked = [gap.command for gap in gaps if gap.command] or [usual] * bool(self._open())
+        if tested and self.few_samples and usual.kind not in {each.kind for each in asked}:
+            asked.append(usual.with_cycle(_CYCLE * tested.span / tested.speeds[1]))
+        return asked
+
+    @property
+    def few_samples(self) -> int:
+        """Samples of the records' fastest branches, if few, and the error of fast branches misses the goal; else 0."""
+        tested, sample = (
+            self.actuator.identification.validity,
+            min(each.given.record.sample_time for each in self.comparisons),
+        )
+        goal = 0.01 * self.stroke * (self.actuator.identification.goal or 1.0)
+        if not tested or not self.promise or self.promise.largest <= goal or self._of_others():
+            return 0
+        samples = 1 / max(tested.rates[1] * sample, 1e-300)
+        return round(samples) if samples < _ENOUGH and tested.growth > tested.shown else 0
 
     def warnings(self) -> tuple[str, ...]:
         """Return warnings to consider before the model is used or follows the path of the `plan`."""
@@ -190,7 +205,7 @@ class Insight(Plotted):
         """Return a warning if the records leave combinations of stiffnesses open that the turns of the path need."""
         found, promise = self.identifiability, self.promise
         turned = promise is not None and all(gap.what != "turns" for gap in promise.untested)
-        if found.determined == found.of or turned:
+        if found.determined == found.of or turned or self._of_others():
             return ""
         return (
             f"{found.of - found.determined} of {found.of} directions of {found.subject} are open: motions that turn "
@@ -204,7 +219,7 @@ class Insight(Plotted):
             "stroke_m": self.stroke,
             "origin": self.origin,
             "warnings": list(self.warnings()),
-            **json_values(self, "promise record_next"),
+            **json_values(self, "promise few_samples record_next"),
             "directions": json_values(self.identifiability, "determined of singular_values_V_per_V=values"),
         }
 
@@ -268,8 +283,14 @@ def lines(found: Insight, *, full: bool = True) -> Iterator[str]:
         known = found.identifiability
         words = f"Directions of {known.subject} that the turning points determine, whatever the noise"
         yield f"{words}: {known.determined} of {known.of}"
+    if found.few_samples:
+        yield f"The error grows with the speed; the fastest branches have only {found.few_samples} samples each."
+    allowed = found.actuator.identification.allowed_slew_rate or np.inf
+    if over := [each.speed for each in found._asked() if each.speed > allowed]:
+        yield f"A test of the path takes {digits(max(over), 3)} V/s; excitations keep to the allowed {allowed:.6g} V/s."
     commands = found.record_next
-    yield "To record next:" if commands else "To record next: nothing; no excitation would test more."
-    if found.promise is not None and found.promise.delay:
-        yield "State who lags, if it is known (dehyst identify --lag-of or --sensor-lag): this lowers the promise."
+    nothing = "not known, as these records do not fit the model" if found._of_others() else "no excitation tests more"
+    yield "To record next:" if commands else f"To record next: {nothing}."
     yield from (f"    {command}" for command in commands)
+    if found.expected and found.promise and found.promise.delay:
+        yield "To state, if it is known: who lags (dehyst identify --lag-of or --sensor-lag). This lowers the promise."

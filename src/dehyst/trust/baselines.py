@@ -102,7 +102,6 @@ class Linear(AbstractBaseline):
     offset: float = 0.0
     delay: float = 0.0
     state: State = field(init=False, repr=False, compare=False)
-    parameters = 2
 
     def __post_init__(self) -> None:
         number(self.offset, "offset")
@@ -205,9 +204,8 @@ class TwoBranches(AbstractBaseline):
             # The first branch may begin anywhere in the hysteresis.
             chosen = chosen[1:] if len(chosen) > 1 and not chosen[0, 0] else chosen
             if not len(chosen):
-                raise IdentifyError(
-                    f"{record.name}: its voltage never {name} over the whole range; record at least one full cycle"
-                )
+                missing = f"its voltage never {name} over the whole range"
+                raise IdentifyError(f"{record.name}: {missing}; record at least one full cycle")
             samples = np.concatenate([np.arange(first, last + 1) for first, last in chosen.tolist()])
             branches.append(_tabulated(record.voltage[samples], record.displacement[samples], places, slope))
         return cls(places, branches[0], np.maximum(*branches))

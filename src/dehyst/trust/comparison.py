@@ -246,11 +246,9 @@ def _kept_apart(records: list[Record]) -> tuple[list[Record], list[Played]]:
         training.append(first if usable else record)
         held_out += [whole] if usable else []
     if not held_out:
-        raise IdentifyError(
-            "no record is long enough to hold out its last quarter: the first three quarters need a full cycle",
-            hint="record more cycles, or give other records to judge by",
-            change=("validate",),
-        )
+        words = "no record is long enough to hold out its last quarter: the first three quarters need a full cycle"
+        hint = "record more cycles, or give other records to judge by"
+        raise IdentifyError(words, hint=hint, change=("validate",))
     return training, held_out
 
 

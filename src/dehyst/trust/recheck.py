@@ -27,18 +27,7 @@ from dehyst.identification import (
     refuse_still,
     zero_by_voltages,
 )
-from dehyst.model import (
-    Actuator,
-    Promise,
-    Stage,
-    State,
-    by_axis,
-    excitation,
-    sampled,
-    stroke_of,
-    untested,
-    voltages_of,
-)
+from dehyst.model import Actuator, Excite, Promise, Stage, State, by_axis, stroke_of, untested, voltages_of
 from dehyst.records import NOISE_PEAK, Record, beyond_noise, largest, percent, rms, turning_points
 from dehyst.trust.changes import LEARNT, SLOW, Change, Known, find_changes
 
@@ -337,7 +326,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     useless = "" if promise is None else promise.unusable
     remarks = [words for words in untested(actuator, promise, record.temperature) if words != useless]
     # Loops that are slow enough to show creep; a counted signal needs a small step of the voltage in each sample.
-    pace, step = f"--frequency {1 / cycle:.3g} " * (cycle > 10), record.meta.get("step_V", 0.0)
+    asked = Excite(*voltages_of(actuator)[::-1]).with_cycle(max(cycle, 10.0))
     return Recheck(
         record=record.name,
         model=actuator.name,
@@ -354,7 +343,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
         trace=whole,
         unjudged=float(whole.time[begin]) - min(whole.began, float(whole.time[0])) if begin else 0.0,
         promise=promise,
-        to_record="" if many else sampled(*excitation(*voltages_of(actuator)[::-1], pace), step),
+        to_record="" if many else str(asked.within(origin.allowed_slew_rate, record.meta.get("step_V", 0.0))),
     )
 
 

@@ -39,7 +39,7 @@ class Turn(NamedTuple):
     @property
     def words(self) -> str:
         """Voltages and speed as text."""
-        speed = f" at {self.speed:.3g} V/s" if isfinite(self.speed) else ""
+        speed = f" at {self.speed:.3g} V/s on average" if isfinite(self.speed) else ""
         often = f", {self.times} times" if self.times > 1 else ""
         return f"{self.record}: from {ends(self.begin, self.end, 'V')}{speed}{often}"
 

@@ -326,14 +326,8 @@ class _Refit:
         """Return the old model with the coefficients of a solution; an offset without rows is that of `whole`."""
         old, last = self.old, max(whole.offsets)
         made = found.to_actuator(program.grid, found.offsets.get(last, whole.offsets[last]))
-        smooth = old.smooth
-        return replace(
-            old,
-            slip=made.slip,
-            spring=made.spring,
-            transformer=made.transformer,
-            smooth=None if smooth is None else replace(smooth, stiffness=found.smooth),
-        )
+        parts = {name: getattr(made, name) for name in ("slip", "spring", "transformer")}
+        return replace(old, **parts, smooth=old.smooth and replace(old.smooth, stiffness=found.smooth))
 
     def _trace(self, made: Actuator) -> Trace:
         """Return a model simulated along the record, with a start and a zero of the sensor that are fitted to it."""
@@ -388,7 +382,7 @@ class _Refit:
             missing.append(f"Not fitted again: {', '.join(names)} and the ratios of thresholds.")
         before, after = (own.identification.validity for own in (self.given, made))
         if before and after and after.speeds[1] < before.speeds[1]:
-            missing.append(f"Branches faster than {after.speeds[1]:.3g} V/s count as not tested.")
+            missing.append(f"Branches with a mean speed above {after.speeds[1]:.3g} V/s count as not tested.")
         return tuple(missing)
 
 
