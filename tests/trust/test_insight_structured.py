@@ -61,7 +61,7 @@ def test_a_single_loop_has_a_warning():
     # As the table of identifiability has it: a major loop tells five of ten directions, the last is never told.
     assert (found.identifiability.determined, found.identifiability.of) == (5, 9)
     assert "4 of 9 directions" in found.warnings()[0]
-    assert len(found.record_next) == 1
+    assert model.promise() is None and len(found.record_next) == 1
     found = insight(model, whole).identifiability
     assert found.determined == found.of
 
@@ -83,5 +83,6 @@ def test_insight_works_for_every_structure(name, tmp_path):
 def test_records_of_another_model_have_a_warning(gain, told):
     _, fit, record = looked("plain")
     found = insight(fit.actuator, Record(record.time, record.voltage, gain * record.displacement, "other"))
-    assert bool(found._of_others()) == told
+    assert (bool(found._of_others()), found.warnings() == (found._of_others(),)) == (told, told)
+    assert not (told and (found.record_next or found.few_samples))
     assert (next(iter(found.summary().split("\n"))) == found.promise.sentence) == (not told)

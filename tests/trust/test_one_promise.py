@@ -1,6 +1,7 @@
 """One promise: for one question each command gives the same number to the digit, for another one other words."""
 
 import json
+import re
 import shlex
 from dataclasses import replace
 
@@ -10,10 +11,11 @@ import pytest
 from command_line import run
 from scipy.ndimage import shift
 
-from dehyst import Actuator, MaxwellSlip, Record, Spring, identify
+from dehyst import Actuator, Record, identify
 from dehyst.model import Validity, with_identification
-from dehyst.model.branches import branches_of, paces_of
+from dehyst.model.branches import Excite, branches_of, paces_of
 from dehyst.model.promise import promise
+from dehyst.operations.paths import reason_of
 from dehyst.records import read_table, write_columns, write_record
 from dehyst.trust import check, insight
 from dehyst.virtual import PlayActuator
@@ -122,10 +124,6 @@ def test_an_unusable_model_has_a_remark_and_status_1(tmp_path):
         assert run("insight", "m.json", "r.csv", cwd=tmp_path)[0] == 1
 
 
-def test_a_model_without_validity_has_no_promise():
-    assert Actuator(MaxwellSlip([1e-6], [1e6]), Spring([0.0, 1e-5], [0.0, 100.0])).promise() is None
-
-
 def test_a_played_command_is_not_recommended_again(tmp_path):
     drive = Sampling(0.1, sample_rate=8.0)
     truth = PlayActuator(highest=TOP, plays=40, noise=2e-9)
@@ -146,7 +144,27 @@ def test_a_played_command_is_not_recommended_again(tmp_path):
     clock = np.array([0.0, 10.0, 20.0, 1e3])
     longer = model.promise([0.0, 90.0, 40.0, 40.0], clock).untested
     assert [gap.what for gap in longer][-1] == "hold"
-    assert run(*shlex.split(longer[-1].command)[1:], "--sample-rate", "8", cwd=tmp_path)[0] == 0
+    assert run(*shlex.split(str(longer[-1].command))[1:], "--sample-rate", "8", cwd=tmp_path)[0] == 0
+    # An error that grows with the speed asks for more samples of fast branches, within what is allowed.
+    tested = model.identification.validity
+    fast = with_identification(model, allowed_slew_rate=150.0, validity=replace(tested, growth=5e-7))
+    (command,) = insight(fast, records).record_next
+    assert 1 < insight(fast, records).as_dict()["few_samples"] < 16
+    assert insight(with_identification(fast, goal=50.0), records).record_next == ()
+    assert run(*shlex.split(command)[1:], cwd=tmp_path)[0] == 0
+    table = read_table(tmp_path / shlex.split(command)[-1])
+    time, voltage = (table.column(name) for name in ("time", "voltage"))
+    assert "150" in shlex.split(command) and 100 < np.abs(np.diff(voltage) / np.diff(time)).max() <= 150 * (1 + 1e-6)
+    records.append(Record(time, voltage, truth.play(voltage), "fine"))
+    assert insight(fast, records).few_samples == 0 and insight(fast, records).record_next == ()
+    coarse = replace(tested, rms=3e-8, disagreement=2e-8, growth=2.5e-8)
+    (words,) = reason_of(coarse.anywhere, coarse)
+    assert [*map(float, re.findall(r"([\d.]+) nm", words))] == [30, 20, 25]
+
+
+def test_a_measured_cycle_has_a_round_frequency():
+    found = [Excite(TOP, 0.0).with_cycle(cycle).frequency for cycle in (10.01, 9.93, 30.2, 7.0, 96.0)]
+    assert found == [0.1, 0.1, 0.033, 0.143, 0.0104]
 
 
 @pytest.mark.parametrize("seed", [0, 1, *map(at_night, range(2, 12))])
@@ -162,8 +180,8 @@ def test_everything_that_is_not_tested_has_a_command_that_tests_it(seed, tmp_pat
     for _ in range(3):
         asked = promise(Validity.by_records(records, new=(0.1, 0.1), **errors), path, when).untested
         assert all(gap.command for gap in asked)
-        assert played.isdisjoint(gap.command for gap in asked)
-        for command in dict.fromkeys(gap.command for gap in asked):
+        assert played.isdisjoint(str(gap.command) for gap in asked)
+        for command in dict.fromkeys(str(gap.command) for gap in asked):
             assert run(*shlex.split(command)[1:], "--force", cwd=tmp_path)[0] == 0
             table = read_table(tmp_path / shlex.split(command)[-1])
             records.append((table.column("time"), table.column("voltage")))

@@ -73,9 +73,8 @@ def test_a_path_has_the_speeds_of_the_promise():
 
 
 def test_a_constant_voltage_has_no_turn_plane():
-    rest = np.zeros(10)
-    assert turn_plane([("rest", np.arange(10.0), rest)]) is None
-    assert turn_plane([("rest", np.arange(10.0), rest)], (0.0, 100.0)) is None
+    for limits in ((), ((0.0, 100.0),)):
+        assert turn_plane([("rest", np.arange(10.0), np.zeros(10))], *limits) is None
 
 
 def test_a_long_record_is_evaluated_in_steps():

@@ -124,10 +124,10 @@ def _remark(
     """Add remarks on a plan: what to do, and why a promise is large; what else the records do not test is a detail."""
     promises = [plan.promise for plan in plans]
     said = known.prefixed(plan.warnings for plan in plans)
-    reasons = known.prefixed(map(reason_of, promises))
+    reasons = known.prefixed(map(reason_of, promises, (own.identification.validity for own in known.actuators)))
     untested = known.prefixed([each.sentence for each in promise.untested] if promise else [] for promise in promises)
     known.remark(map(before_path, known.actuators, plans, limits, present))
-    known.run.remarks += [*(sentence for sentence in said if sentence not in untested), *reasons]
+    known.run.remarks += [*(sentence for sentence in said if sentence not in untested + reasons), *reasons]
     known.run.details += [sentence for sentence in said if sentence in untested and sentence not in reasons]
     known.remark(map(open_start, plans))
 

@@ -102,6 +102,6 @@ def _answer(fit: Fit | StageFit) -> list[str]:
     if not isinstance(fit, Fit) or not fit.good:
         return brief
     cut = len(fit.options["cut"]) > 0
-    first = fit.remarks[:1] if cut else reason_of(fit.promise.promise)
+    first = fit.remarks[:1] if cut else reason_of(fit.promise.promise, fit.actuator.identification.validity)
     remarks = (*first, *fit.promise.reservations, *fit.remarks[cut:])
     return [brief[0], *(f"  - {escaped(remark)}" for remark in remarks[:_REMARKS])]

@@ -12,10 +12,10 @@ from dehyst._errors import FileFormatError, ModelError
 from dehyst._text import counted
 from dehyst._types import Array
 from dehyst._units import FACTORS
-from dehyst._views.lines import ends
+from dehyst._views.lines import ends, length
 from dehyst.control import Compensator, PathPlan, VoltageLimits
 from dehyst.control.limits import unit_hint
-from dehyst.model import USELESS, Promise, apply, demand_thermal
+from dehyst.model import USELESS, Promise, Validity, apply, demand_thermal
 from dehyst.operations.axes import AxesModel, Limits
 from dehyst.operations.command import number
 from dehyst.operations.files import PATH, Columns, clock_of, numbers_in
@@ -44,7 +44,7 @@ def bounds_remarks(limits: Limits, slew_rate: float | None, used: VoltageLimits,
     return remarks
 
 
-def reason_of(promise: Promise | None) -> list[str]:
+def reason_of(promise: Promise | None, tested: Validity | None) -> list[str]:
     """Return why a model is not usable for a path, or what a promise above 1 % of the stroke comes from."""
     if promise is None or promise.largest <= _SMALL * promise.stroke:
         return []
@@ -52,8 +52,9 @@ def reason_of(promise: Promise | None) -> list[str]:
         return [promise.unusable]
     cause = max(promise.parts, key=promise.parts.__getitem__)
     known = [each.sentence for each in promise.untested if (each.what == "temperature") is (cause == "temperature")]
-    if cause == "model" and not known:
-        return ["The model misses held-out parts of its records by as much, and no excitation tests more."]
+    if cause == "model" and not known and tested:
+        words = "The promise rests on held-out parts missed by {} RMS, other models {} away, {} more on fast branches."
+        return [words.format(*map(length, (tested.rms, tested.disagreement, tested.growth)))]
     # The plan itself has remarks on the start and on missed samples.
     return [] if cause in ("start", "missed") else known[:1]
 
@@ -120,7 +121,7 @@ def reach_remarks(
         (axis,) = Compensator(actuator, allowed)._axes
         gain, offset = axis.scaling(temperature if actuator.thermal else None, target.size)
         lows, highs = (offset + gain * end for end in axis.reach)
-        values = (np.max(lows), np.min(highs), target.min(), target.max())
+        values = np.max(lows), np.min(highs), target.min(), target.max()
         low, high, least, most = (1e6 * float(value) for value in values)
         margin, fits = _ROUNDING * 1e-6 * (high - low), most - least <= high - low
         if hints := unit_hint("um", (low, high), 1e6 * target - (0.0 if zero is None else least)):

@@ -86,10 +86,9 @@ def _add_excitation(kind: str, text: str, protocol: Callable[..., Excitation], *
         if excitation.axes:
             what = ", ".join(f"{name} {(stop - begin) / rate:.4g} s" for name, begin, stop in excitation.parts)
         else:
-            what = f"{low:.6g} to {high:.6g} V, from {first:.6g} to {last:.6g} V, at {steepest:.4g} V/s at most"
-        line = f"{excitation.name}: {size}, {what}: {output}"
+            what = f"{low:.6g} to {high:.6g} V, from {first:.6g} to {last:.6g} V, {steepest:.4g} V/s at its steepest"
         run.remarks += excitation.warnings
-        return Result(fields, [line, *[_BEFORE] * bool(excitation.axes)])
+        return Result(fields, [f"{excitation.name}: {size}, {what}: {output}", *[_BEFORE] * bool(excitation.axes)])
 
     written.__doc__ = text
     command(kind, {**options, **_DRIVEN}, excite)(written)
