@@ -1,11 +1,10 @@
 """`dehyst check` and `dehyst update`: what they print, log and write, their exit status."""
 
 import csv
-import json
 
 import checked_loops as loops
 import pytest
-from command_line import run
+from command_line import result, run
 
 import dehyst
 from dehyst.records import write_record
@@ -47,12 +46,10 @@ def test_each_check_adds_a_row_to_the_log_and_another_table_is_refused(folder):
 
 def test_an_updated_model_is_still_true(folder):
     assert run("check", "model.json", "again.csv", cwd=folder)[0] == 1
-    status, out, err = run("update", "model.json", "gain.csv", "-o", "new.json", "--json", cwd=folder)
-    found = json.loads(out)
-    assert (status, err, found["used"], found["good"]) == (0, "", True, True)
+    status, found = result("update", "model.json", "gain.csv", "-o", "new.json", cwd=folder)
+    assert (status, found["used"], found["good"]) == (0, True, True)
     assert [change["counts"] for change in found["changes"] if change["name"] == "gain"] == [True]
     assert found["promise"]["largest_m"] >= found["promise"]["rms_m"] > 0
-    status, out, _ = run("check", "new.json", "again.csv", "--json", cwd=folder)
-    found = json.loads(out)
+    status, found = result("check", "new.json", "again.csv", cwd=folder)
     assert status == 0 and found["without_noise_percent"] <= 100 * found["promise"]["largest_m"] / found["stroke_m"]
     assert dehyst.Actuator.load(folder / "new.json").identification.validity.lag_error > 0

@@ -83,15 +83,6 @@ def test_limits_that_a_path_does_not_need_have_no_effect_on_its_homing():
     assert far.seconds > plans[0].seconds
 
 
-def test_the_bound_of_a_homing_is_kept():
-    wanted, time = np.linspace(0.3, 0.6, 200) * plain_records.STROKE, np.arange(200) * 0.02
-    loop = Compensator(CREEPING)
-    long, short = plan_path(loop, wanted, time=time), plan_path(loop, wanted, time=time, home_within=9.0)
-    assert long.seconds > 20 and short.homing.played.duration <= 9.02 and short.error.largest > long.error.largest
-    before = long.phase < 2
-    assert np.abs(np.diff(long.voltage[before]) / np.diff(long.time[before])).max() <= 200.0 * (1 + 1e-6)
-
-
 @pytest.mark.parametrize(("step", "within"), [(1e-3, None), (1e-4, None), (1e-4, 15.0)])
 def test_rows_of_a_homing_are_near_in_voltage_and_on_its_straight_lines(step, within):
     path = np.linspace(0.3, 0.6, 2000) * plain_records.STROKE

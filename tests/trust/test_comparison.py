@@ -200,22 +200,6 @@ def test_the_best_model_has_the_least_error_on_held_out_time(records):
     assert compare(records[0], models={"truth": plant}).best is None
 
 
-@pytest.mark.parametrize(
-    ("records", "error"),
-    [
-        ((), IdentifyError),
-        ((LOOPS, LOOPS), IdentifyError),
-        (plain_records.loops(PLANT, (0, 1, 0, 1)), IdentifyError),
-        (np.zeros(4), IdentifyError),
-        (Record([0, 1], [0, 1], [0, 1]), RecordError),
-    ],
-    ids=["none", "the same twice", "no cycle before the last quarter", "numbers", "two samples"],
-)
-def test_impossible_arguments_are_refused(records, error):
-    with pytest.raises(error):
-        compare(records, models={"truth": plant})
-
-
 def test_the_page_draws_the_models_best_first_and_shows_every_failure(records, tmp_path):
     models = {"line": Linear.fit, "truth": plant, "<b>": fails(ValueError("it <failed>"))}
     found = compare(records[0], validate=records[1], models=models)
@@ -264,28 +248,31 @@ def test_two_branches_are_those_of_the_major_loop():
     assert np.ptp(line[cycle]) > 0.05 * plain_records.STROKE
 
 
+RISING = np.linspace(0, 1, 400)
+
+
 @pytest.mark.parametrize(
-    "columns",
+    ("make", "error"),
     [
-        ([0], [0], [0]),
-        ([0, 1], [0, 1], [0, 1, 2]),
-        ([0, 0], [0, 1], [0, 1]),
-        ([0, 1], [1, 0], [1, 2]),
-        ([0, 1], [0, 1], [0, 0.5]),
-        ([0, 1], [0, np.nan], [0, 1]),
+        (lambda: TwoBranches([0], [0], [0]), ModelError),
+        (lambda: TwoBranches([0, 1], [0, 1], [0, 1, 2]), ModelError),
+        (lambda: TwoBranches([0, 0], [0, 1], [0, 1]), ModelError),
+        (lambda: TwoBranches([0, 1], [1, 0], [1, 2]), ModelError),
+        (lambda: TwoBranches([0, 1], [0, 1], [0, 0.5]), ModelError),
+        (lambda: TwoBranches([0, 1], [0, 1], [0, np.nan]), ModelError),
+        (lambda: TwoBranches.fit([]), IdentifyError),
+        (lambda: TwoBranches.fit(Record(RISING, 100 * RISING, 1e-5 * RISING, "rises")), RecordError),
+        (lambda: compare((), models={"truth": plant}), IdentifyError),
+        (lambda: compare((LOOPS, LOOPS), models={"truth": plant}), IdentifyError),
+        # There is no cycle before the last quarter.
+        (lambda: compare(plain_records.loops(PLANT, (0, 1, 0, 1)), models={"truth": plant}), IdentifyError),
+        (lambda: compare(np.zeros(4), models={"truth": plant}), IdentifyError),
+        (lambda: compare(Record([0, 1], [0, 1], [0, 1]), models={"truth": plant}), RecordError),
     ],
 )
-def test_impossible_branches_are_refused(columns):
-    with pytest.raises(ModelError):
-        TwoBranches(*columns)
-
-
-def test_records_without_both_directions_are_refused():
-    with pytest.raises(IdentifyError, match="got no records"):
-        TwoBranches.fit([])
-    u = np.linspace(0, 1, 400)
-    with pytest.raises(RecordError):
-        TwoBranches.fit(Record(u, 100 * u, 1e-5 * u, "rises"))
+def test_impossible_arguments_are_refused(make, error):
+    with pytest.raises(error):
+        make()
 
 
 FITS = """

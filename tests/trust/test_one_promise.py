@@ -8,7 +8,7 @@ from dataclasses import replace
 import coupled_stage
 import numpy as np
 import pytest
-from command_line import run
+from command_line import result, run
 from scipy.ndimage import shift
 
 from dehyst import Actuator, Record, identify
@@ -50,9 +50,7 @@ MODELS = {
 
 
 def answer(*arguments, cwd):
-    status, out, err = run(*arguments, "--json", cwd=cwd)
-    assert status in (0, 1), err
-    return json.loads(out)
+    return result(*arguments, cwd=cwd)[1]
 
 
 @pytest.mark.parametrize("name", [name if name in ("recommended", "creep") else at_night(name) for name in MODELS])
@@ -118,9 +116,8 @@ def test_an_unusable_model_has_a_remark_and_status_1(tmp_path):
     for rms, status, remarks in ((1e-9, 0, 0), (1e-6, 1, 1)):
         validity = replace(fit.actuator.identification.validity, rms=rms, disagreement=rms)
         with_identification(fit.actuator, validity=validity).save(tmp_path / "m.json")
-        found = run("compensate", "m.json", "path.csv", "-o", "v.csv", "--force", "--json", cwd=tmp_path)
-        assert found[0] == status
-        assert sum("not usable" in warning for warning in json.loads(found[1])["warnings"]) == remarks
+        found, told = result("compensate", "m.json", "path.csv", "-o", "v.csv", cwd=tmp_path)
+        assert (found, sum("not usable" in warning for warning in told["warnings"])) == (status, remarks)
         assert run("insight", "m.json", "r.csv", cwd=tmp_path)[0] == 1
 
 

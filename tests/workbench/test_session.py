@@ -414,19 +414,12 @@ def test_a_damaged_state_is_refused_with_its_name(folder, damage):
         WorkbenchSession(folder)
 
 
-NO_POINTS = (
-    [],
-    [[0, 1]],
-    [[0, 1], [0, 2]],
-    [[0, 1], [1, float("nan")]],
-    [[0, 1, 2], [1, 2, 3]],
-    "abc",
-    [[0, "x"], [1, 2]],
-)
+NO_NUMBERS = [[0, 1], [1, float("nan")]], "abc", [[0, "x"], [1, 2]]
+NO_PATHS = [], [[0, 1]], [[0, 1], [0, 2]], [[0, 1, 2], [1, 2, 3]]
 NO_RATES = ([[0, 1], [1, 2]], 0), ([[0, 1], [1, 2]], None), ([[0, 1], [1e9, 2]], 1e6)
 
 
-@pytest.mark.parametrize(("points", "rate"), [*((points, 1e3) for points in NO_POINTS), *NO_RATES], ids=str)
+@pytest.mark.parametrize(("points", "rate"), [*((points, 1e3) for points in NO_NUMBERS + NO_PATHS), *NO_RATES], ids=str)
 def test_points_that_make_no_path_are_refused(tmp_path, points, rate):
     with pytest.raises(RequestError):
         written_path(tmp_path / "path.csv", points, rate)
