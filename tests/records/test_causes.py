@@ -253,7 +253,7 @@ def test_a_stroke_that_no_stage_has_with_such_voltages_is_a_wrong_unit(volts, mi
         return
     with pytest.raises(RecordError) as caught:
         found.check_usable()
-    assert (caught.value.argument, caught.value.need) == ("displacement", "at most 2 mm")
+    assert (caught.value.argument, caught.value.need) == ("displacement", "at most 5 mm")
     assert "unit" in caught.value.hint
 
 

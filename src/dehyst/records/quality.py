@@ -27,6 +27,8 @@ _GAINS = (2e-9, 5e-5)
 _SLOWEST = 1000.0
 # Least number of samples of a usable record, and of a sweep.
 _FEWEST, _SWEEP = 20, 3
+# Largest stroke of a piezoelectric actuator, of a bender [m].
+_LARGEST_STROKE = 5e-3
 # A time starts again if it returns this near to its first value, as a part of its range.
 _AGAIN = 0.1
 
@@ -95,7 +97,7 @@ def other_unit(record: Record) -> str:
 
 def long_stroke(record: Record) -> dict[str, str]:
     """Return the fields of an error if no stage has such a stroke with such voltages: its unit is wrong; or none."""
-    (driven, moved), most = _spans(record), QUANTITIES["displacement"].range[1]
+    (driven, moved), most = _spans(record), _LARGEST_STROKE
     if moved <= most or driven > QUANTITIES["voltage"].range[1] or other_unit(record):
         return {}
     got, hint = (

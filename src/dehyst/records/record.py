@@ -369,7 +369,7 @@ class Record(Plotted):
         """Raise `RecordError` if no hysteresis loop can be identified from the record.
 
         That is so with fewer than 20 samples, no full cycle, constant voltage or displacement, an echo of the voltage,
-        fringes, a stroke over 2 mm, an inverted or clipped sensor, a butterfly loop, swapped, reversed or sorted
+        fringes, a stroke over 5 mm, an inverted or clipped sensor, a butterfly loop, swapped, reversed or sorted
         columns, or displacements that dehyst computed.
         """
         record = of_one_axis(self)
