@@ -316,11 +316,12 @@ async def test_a_refused_operation_does_not_begin(stage):
 @played
 async def test_a_record_of_several_axes_is_identified_and_followed(stage):
     second = {**SHOWN, "voltage_V": [-5, 120], "usable": False, "problems": ["short"]}
-    parts = {"x": {**SHOWN, "problems": []}, "y": second}
+    columns = [{"name": "vx", "unit": "V", "range": [0, 100]}]
+    parts = {"axes": {"x": {**SHOWN, "problems": [], "file_columns": columns}, "y": second}}
     entry = stage.session.add_record("uploads/two.csv", "two.csv")
     await stage.next(Finished({"axes": parts}))
     assert (entry.status, entry.axes, entry.voltage) == ("ready", ["x", "y"], [-5, 120])
-    assert (entry.problems, entry.usable) == (["y: short"], False)
+    assert (entry.problems, entry.usable, entry.file_columns) == (["y: short"], False, columns)
     model = stage.session.identify({"train": [entry.id]})
     worse = {**FIT, "verdict": {**VERDICT, "promise": {**PROMISE, "largest_percent": 2.0}}, "remarks": ["look"]}
     fits = {"x": FIT, "y": worse}

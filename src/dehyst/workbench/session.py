@@ -150,7 +150,7 @@ class WorkbenchSession:
 
         def done(finished: Finished) -> None:
             told = finished.error if finished.result is None else finished.result
-            first = told if "file_columns" in told else next((o for o in told.values() if isinstance(o, dict)), {})
+            first = next(iter(told.get("axes", {"": told}).values()))
             entry.file_columns = first.get("file_columns", [])[:_MOST_COLUMNS] or entry.file_columns
             if finished.result is None:
                 # The form has the suggestion already.
