@@ -6,9 +6,8 @@ from workbench_client import served
 
 from dehyst.model import Actuator, MaxwellSlip, Spring
 
-pytest.importorskip("starlette", reason="needs the extra workbench")
-pytest.importorskip("uvicorn", reason="needs the extra workbench")
-pytest.importorskip("websockets", reason="needs the extra workbench")
+for needed in ("starlette", "uvicorn", "websockets"):
+    pytest.importorskip(needed, reason="needs the extra workbench")
 
 
 @pytest.fixture(scope="session")

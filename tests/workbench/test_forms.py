@@ -116,13 +116,9 @@ def test_a_suggestion_is_marked_and_an_accepted_guess_stays_a_guess():
     assert columns_of(entry, {**form["values"], "voltage_1_unit": "mV"}).startswith("voltage=U:mV,")
     entry = record(status="refused", hint="time=1:s, displacement=3:um?*GAIN um/V")
     form = form_of(entry)
+    assert columns_of(entry, {"displacement_1": "2", "displacement_scale": "2,5 um/V"}) == "displacement=3*2.5 um/V"
     assert (form["values"]["time"], form["values"]["voltage_1"]) == ("0", "")
     assert form["values"]["displacement_scale"] == "GAIN um/V" and "displacement_scale" in form["marked"]
-
-
-def test_a_scale_may_have_a_decimal_comma():
-    values = {"displacement_1": "2", "displacement_scale": "2,5 um/V"}
-    assert columns_of(record(), values) == "displacement=3*2.5 um/V"
 
 
 @pytest.mark.parametrize(

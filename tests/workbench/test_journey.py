@@ -17,6 +17,8 @@ from dehyst.model import voltages_of
 from dehyst.records import read_table
 
 CORNERS = [[0.0, 2.0], [0.5, 9.0], [1.0, 3.0]]
+DRAWN = {"points": CORNERS, "low": 0, "high": 100, "rate": 1000}
+SCAN = {"kind": "triangle", "low": 3, "high": 7, "frequency": 5}
 
 
 def floats(answer, columns):
@@ -40,9 +42,8 @@ def visited(tmp_path_factory, loops):
         record = upload(client, loops)
         model = identified(client, [record["id"]], options={"structure": "maxwell_slip", "name": "my stage"})
         base = f"/api/models/{model['id']}"
-        path = done(client, client.post(f"{base}/follow", json={"points": CORNERS, "rate": 1000, "limits": [0, 100]}))
-        scan = {"kind": "triangle", "low": 3, "high": 7, "frequency": 5}
-        done(client, client.post(f"{base}/follow", json={"scan": scan, "rate": 1000, "name": "scan"}))
+        path = done(client, client.post(f"{base}/follow", json=DRAWN))
+        done(client, client.post(f"{base}/follow", json={"scan": SCAN, "rate": 1000}))
         exports = {kind: done(client, client.post(f"{base}/export", json={"kind": kind}))[0] for kind in ("c", "fmu")}
         assessed = done(client, client.post(f"{base}/insight", json={}))[1]
         answers = {
@@ -56,8 +57,7 @@ def visited(tmp_path_factory, loops):
 def test_a_record_has_the_samples_of_its_file(visited, loops):
     _, _, entries, answers = visited
     record = read(loops)
-    assert entries["record"]["status"] == "ready"
-    assert entries["record"]["samples"] == len(record)
+    assert (entries["record"]["status"], entries["record"]["samples"]) == ("ready", len(record))
     assert entries["record"]["rate_hz"] == pytest.approx(500)
     columns = record.time, record.voltage, record.displacement * 1e6
     np.testing.assert_allclose(answers["record"], columns, rtol=1e-6, atol=1e-6)
@@ -80,6 +80,9 @@ def test_a_voltage_follows_the_path_within_the_limits(visited):
     voltage = state["voltages"][0]
     assert 0 <= voltage["range_v"][0] < voltage["range_v"][1] <= 100
     assert any("home" in words for words in voltage["words"])
+    assert voltage["asked"] == DRAWN
+    assert 0 < voltage["promises"][0]["largest_percent"] < 1 and voltage["name"] == "my-stage-path"
+    assert state["voltages"][1]["asked"] == {"scan": SCAN, "rate": 1000} and "triangle" in state["voltages"][1]["file"]
     table = read_table(folder / voltage["file"])
     volts = {column.name: column.data for column in table.columns}
     assert volts["voltage_V"].size == voltage["samples"]
@@ -101,11 +104,10 @@ def test_exports_are_made(visited):
 
 def test_a_report_is_shown_without_the_permissions_of_the_page(visited):
     *_, answers = visited
-    report = answers["report"]
-    assert report.headers["content-type"].startswith("text/html")
-    policy = report.headers["content-security-policy"]
-    assert policy.startswith("sandbox")
-    assert "allow-same-origin" not in policy
+    headers = answers["report"].headers
+    assert headers["content-type"].startswith("text/html")
+    policy = headers["content-security-policy"]
+    assert policy.startswith("sandbox") and "allow-same-origin" not in policy
 
 
 def test_an_assessment_is_a_report_of_the_folder(visited):

@@ -12,6 +12,7 @@ from workbench_client import held, served
 from workbench_page import CHROMIUM, colours, visit
 from workbench_tour import PICTURES
 
+from dehyst import Actuator
 from dehyst.records import read_table, write_record
 from examples import at_night
 
@@ -60,12 +61,11 @@ def test_the_private_file_admits_a_browser(browser, workbench):
         time.sleep(0.05)
     argument = workbench.opened.read_text().strip()
     assert argument.startswith("file://") and "token=" not in argument
-    context = browser.new_context()
-    page = context.new_page()
+    page = browser.new_page()
     page.goto(argument)
     sync_api.expect(page.locator("#connection")).to_have_text("Connected", timeout=LONGEST)
     assert page.url.startswith(workbench.base)
-    context.close()
+    page.close()
 
 
 def test_an_empty_page_explains_a_record_and_has_an_example(browser, workbench):
@@ -218,12 +218,9 @@ def test_the_back_button_opens_the_last_step(page, workbench):
     page.click("#step-records")
     for step in ("model", "export"):
         page.click(f"#step-{step}")
-    page.go_back()
-    sync_api.expect(page.locator("#model")).to_be_visible()
-    page.go_back()
-    sync_api.expect(page.locator("#records")).to_be_visible()
-    page.go_forward()
-    sync_api.expect(page.locator("#model")).to_be_visible()
+    for move, step in ((page.go_back, "model"), (page.go_back, "records"), (page.go_forward, "model")):
+        move()
+        sync_api.expect(page.locator(f"#{step}")).to_be_visible()
     assert page.url.startswith(workbench.base)
 
 
@@ -276,7 +273,6 @@ def owner(browser, workbench, journey):
 
 
 def test_a_dropped_record_is_drawn_and_its_identification_can_be_cancelled(person, bench, loops):
-    content = loops.read_text()
     person.page.evaluate(
         """([name, text]) => {
             const transfer = new DataTransfer();
@@ -286,7 +282,7 @@ def test_a_dropped_record_is_drawn_and_its_identification_can_be_cancelled(perso
                 document.body.dispatchEvent(event);
             }
         }""",
-        ["dropped.csv", content],
+        ["dropped.csv", loops.read_text()],
     )
     person.sees("dropped", within="#record-list")
     person.sees("0 to 100 V|to 100 V", within="#records")
@@ -309,10 +305,19 @@ def test_each_scan_can_be_followed_with_the_planned_voltages(owner, workbench, k
     owner.page.get_by_label("Scan", exact=True).select_option(kind)
     owner.until("(kind) => document.querySelector('#scan-kind').value === kind", kind)
     owner.sees("The path can be followed", within="#plan-words")
-    planned = owner.page.locator("#plan-words").inner_text()
+    planned, rate = owner.page.locator("#plan-words").inner_text(), owner.page.input_value("#path-rate")
     low, high = (float(number) for number in re.search(r"([\d.]+) to ([\d.]+) V", planned).groups())
     owner.write_voltage()
     file = max((workbench.folder / "voltages").iterdir(), key=lambda path: path.stat().st_mtime)
+    # The promise in the headline is that of the file, and its card has the values of the form.
+    owner.sees(f"promise of the file voltages/{file.name}", within="#plan-words")
+    promised = re.search(r"within [\d.]+ nm", owner.page.inner_text("#plan-words .first"))[0]
+    named, told = (owner.page.locator(f"#voltage-list li >> nth=0 >> {tag}").all_inner_texts() for tag in ("dt", "dd"))
+    card = dict(zip(named, told, strict=True))
+    assert (card["Promise"], card["Scan"], card["Samples a second"]) == (promised, kind.capitalize(), f"{rate} Hz")
+    owner.page.reload()
+    owner.sees(promised, within="#plan-words")
+    assert owner.page.input_value("#scan-kind") == kind
     table = {column.name: column.data for column in read_table(file).columns}
     on_path = table["voltage_V"][table["phase"] == table["phase"].max()]
     assert float(on_path.max()) == pytest.approx(high, rel=0.02)
@@ -325,7 +330,6 @@ def test_exports_and_the_script_can_be_downloaded(owner):
         card = owner.page.locator("#export li").filter(has=owner.page.get_by_role("heading", name=name))
         card.get_by_role("button").first.click()
         owner.page.locator("#files").get_by_text(re.compile(rf"exports/loops.*{suffix.split('.')[0]}")).first.wait_for()
-    owner.sees(r"exports/loops\.wasm", within="#files")
     name, content = owner.download("link", "exports/loops.wasm", within="#files")
     assert content[:4] == b"\0asm"
     name, content = owner.download("link", "Model (JSON)")
@@ -397,10 +401,16 @@ def test_a_model_is_assessed_checked_by_a_new_record_and_updated(person, loops, 
     person.sees("Updated from later", within="#model")
 
 
-def test_the_card_of_a_rig_has_commands_that_exist(owner):
+def test_the_card_of_a_rig_has_commands_that_exist(owner, workbench):
     owner.step("Export")
-    lines = owner.page.locator("#rig pre").inner_text().splitlines()
-    assert [line.split()[:2] for line in lines] == [["dehyst", name] for name in ("calibrate", "calibrate", "follow")]
+    lines = [line.split() for line in owner.page.inner_text("#rig pre").splitlines()]
+    assert [line[:2] for line in lines] == [["dehyst", name] for name in ("calibrate", "calibrate", "follow")]
+    limits = Actuator.load(workbench.folder / "models" / "loops.json").limits
+    assert tuple(map(float, lines[1][4:6])) == pytest.approx(limits, rel=1e-5)
+    # No option breaks at its hyphens.
+    owner.page.set_viewport_size({"width": 400, "height": 900})
+    options = owner.page.locator("#script .word").filter(has_text=re.compile("^--"))
+    assert len({*options.evaluate_all("words => words.map((word) => word.offsetHeight)")}) == 1
 
 
 def test_the_tutorial_shows_all_its_pictures():

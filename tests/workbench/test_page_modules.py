@@ -170,6 +170,10 @@ def test_a_path_without_a_promise_has_no_number(run):
         assert.match(said(0.1), /within 100 nm \\(0.56 %/);
         assert.doesNotMatch(said(0), /within|%/);
         assert.match(said(0), /no record is as fast as this path/);
+        const clamps = { limited: 0, slewed: 7 };
+        const cut = (file) => JSON.stringify(judged({ ...planned, clamps }, { ...known, band: 0.1, file }));
+        assert.doesNotMatch(cut(), /within|%/);
+        assert.match(cut("a.csv"), /7 samples are slewed.*within 100 nm \\(0.56 %.*promise of the file a.csv/);
     """)
 
 

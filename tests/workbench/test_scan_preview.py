@@ -24,8 +24,7 @@ def test_the_drawn_scan_is_the_compensated_scan(tmp_path, scan):
     words, axis = scan_words(scan, sample_rate=1000, output=path)
     run(*words)
     columns = ["--columns", f"displacement={axis}_um"] if "axis" in scan else []
-    words = ["--start", "bottom", "--no-home", "--limits", 0, 100, *columns, "-o", output]
-    run("compensate", model, path, *words)
+    run("compensate", model, path, "--start", "bottom", "--no-home", "--limits", 0, 100, *columns, "-o", output)
     table = read_table(output)
     time, wanted = scan_columns(scan, 1000)
     written = table.columns[table.names.index("displacement_um")].data

@@ -9,7 +9,7 @@ from dehyst import Actuator, DehystError, DisplacementCreep, FileFormatError, Ma
 from dehyst.operations.command import context_of, given_in
 from dehyst.operations.run import Run, perform
 from dehyst.workbench.data import RequestError, wasm, written_path
-from dehyst.workbench.entries import ModelEntry
+from dehyst.workbench.entries import ModelEntry, shown
 from dehyst.workbench.folder import Folder
 from dehyst.workbench.jobs import Finished
 from dehyst.workbench.server import Events
@@ -162,6 +162,7 @@ async def test_an_excitation_keeps_the_limits_and_is_listed(stage):
     await stage.next(Finished(written))
     (entry,) = stage.session.excitations.values()
     assert (entry.range_v, entry.seconds, entry.words) == ([-20.0, 100.0], 8.0, ["slow"])
+    assert entry.asked == {"low": -20, "high": 100, "slew": 300, "frequency": None}
     given = stage.given
     assert (given["limits"], given["base"], given["present"], given["slew_rate"]) == ((-20.0, 100.0), -20.0, 0.0, 300)
     with pytest.raises(RequestError):
@@ -291,7 +292,7 @@ async def test_a_refused_operation_does_not_begin(stage):
         {"scan": {"kind": "steps", "levels": ["a"]}},
         {"scan": "triangle"},
         {"scan": {"kind": "triangle", "low": 10**400}},
-        {"points": [[0, 1], [1, 2]], "rate": 10, "limits": [0, "b"]},
+        {"points": [[0, 1], [1, 2]], "rate": 10, "low": 0, "high": "b"},
         {"points": [[0, 1], [1, 2]], "rate": 10, "slew": "fast"},
         {},
     ):
@@ -333,8 +334,14 @@ async def test_a_record_of_several_axes_is_identified_and_followed(stage):
     assert model.coupling["matrix"][0][1] == 0.1
     assert [verdict["largest_percent"] for verdict in model.coupling["verdicts"].values()] == [0.5, 2.0]
     points = {"x": [[0, 1], [1, 2]], "y": [[0, 3], [2, 1]]}
-    stage.session.follow(model.id, {"points": points, "rate": 10})
-    await stage.next(Finished(error={"message": "no"}))
+    stage.session.follow(model.id, {"points": points, "file": "p.csv", "rate": 10, "slew": None})
+    pairs = {key: {"x": 0, "y": 5} for key in ("clamped", "lowest_V", "highest_V", "homing_samples", "seconds")}
+    promises = {"x": None, "y": {**PROMISE, "largest_percent": 0.7}}
+    more = {"homing_s": {"x": 0, "y": 1}, "samples": 9, "warnings": ["a", "b"]}
+    await stage.next(Finished({**pairs, **more, "promise": promises}))
+    (voltage,) = stage.session.voltages.values()
+    assert (voltage.asked, voltage.words[1:]) == ({"file": "p.csv", "rate": 10, "slew": None}, ["a", "b"])
+    assert voltage.promises == [None, {**shown(PROMISE), "largest_percent": 0.7}]
     header = (stage.session.folder.path / stage.given["trajectory"]).read_text().splitlines()
     assert header[0] == "time_s,x_um,y_um" and len(header) == 22
     with pytest.raises(SessionError, match="different axes"):

@@ -77,6 +77,11 @@ function assign(element, name, value) {
   if (name === "checked") element.checked = Boolean(value);
 }
 
+// Show commands, whose lines break between words but not at hyphens.
+export function showCode(element, text) {
+  fill(element, text.split(/(\s+)/).map((part, k) => (k % 2 ? part : h("span.word", part))));
+}
+
 export function table(caption, heads, rows) {
   return h("div.wide", { tabindex: "0", role: "region", "aria-label": caption },
     h("table",

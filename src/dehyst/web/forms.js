@@ -11,6 +11,19 @@ export class Form {
     this.values = Object.fromEntries(Object.entries(fields).map(([name, { value = "" }]) => [name, value]));
   }
 
+  // Fill in values, as `collected` returns them; others than those of the fields are left out.
+  fill(values) {
+    for (const name of Object.keys(this.fields)) if (name in values) this.values[name] = [values[name]].flat().join(" ");
+  }
+
+  // Labels and values as facts, with the placeholder for an empty value.
+  rows(values) {
+    const text = ({ unit = "", choices = [], placeholder }, value) =>
+      value === null ? placeholder : choices.find(([own]) => own === value)?.[1] ?? `${[value].flat().join(" ")} ${unit}`;
+    const asked = Object.entries(this.fields).filter(([name]) => name in values);
+    return asked.map(([name, field]) => [field.label, text(field, values[name])]);
+  }
+
   // Offer other choices. If the present value is not among them, the first is chosen.
   offer(name, choices) {
     this.fields[name].choices = choices;
@@ -61,18 +74,12 @@ export const card = (title, { class: style = "", ...about }, ...content) =>
 
 export const options = (choices) => choices.map(([value, text]) => h("option", { value, key: value }, text));
 
+// Names and values; a value that is undefined is left out.
 export const facts = (pairs) =>
-  h("dl.facts", pairs.map(([name, value]) => h("div", h("dt", name), h("dd", value))));
+  h("dl.facts", pairs.map(([name, value]) => value !== undefined && h("div", h("dt", name), h("dd", value))));
 
 export const list = (sentences, style) =>
   sentences?.length > 0 && h("ul", { class: style }, sentences.map((sentence) => h("li", sentence)));
 
 export const fold = (summary, ...content) =>
   h("details", { key: `fold ${summary}` }, h("summary", summary), content);
-
-// The first remark is open, the others are in a fold.
-export function remarks([first, ...others]) {
-  if (!first) return null;
-  const summary = others.length === 1 ? "One more thing to know" : `${others.length} more things to know`;
-  return [list([first], "remarks"), others.length > 0 && fold(summary, list(others, "remarks"))];
-}

@@ -73,6 +73,5 @@ function viewAfter({ view: { x, y }, home }, key) {
     ArrowUp: { x, y: shifted(y, 0.1) },
     ArrowDown: { x, y: shifted(y, -0.1) },
     0: home,
-    Home: home,
   }[key];
 }

@@ -72,28 +72,28 @@ export const NO_PROMISE =
   "There is no promise: the last check found that the model no longer holds. Update it, or identify again.";
 export const TOO_FAST = "There is no promise: no record is as fast as this path. The written file has its own promise.";
 
-// The verdict on a plan: a light, a sentence, and facts. `band` is in um; if it is 0, `why` is the reason.
-export function judged(planned, { largest_percent: share, band, why, light, speed, apart }) {
+// The verdict on a plan. `band` (um) is the promise of its `file`, or of any path; if it is 0, `why` is the reason.
+export function judged(planned, { largest_percent: share, band, why, light, speed, apart, file }) {
   const { voltage, steepest, missed, clamps } = planned;
   const counts = [["clamped", clamps.limited], ["slewed", clamps.slewed]].filter(([, count]) => count > 0);
   const cut = counts.map(([word, count]) => `${whole(count)} samples are ${word}`);
   const pace = Number.isFinite(steepest) ? `, at most ${short(steepest)} V/s${speed}` : "";
-  const within = band ? `: expect it within ${length(band)} (${percent(share)} of the stroke)` : "";
+  const expected = band && (file || !cut.length) ? `expect it within ${length(band)} (${percent(share)} of the stroke)` : "";
+  const whose = file ? `of the file ${file}, ${apart}` : `for any path, ${apart}; a written file has its own promise`;
   return {
     light: cut.length ? "red" : light,
     first: cut.length
-      ? `${cut.join(" and ")}: the path is missed by up to ${length(missed)}.`
-      : `The path can be followed${within}.`,
+      ? `${cut.join(" and ")}: the path is missed by up to ${length(missed)}${expected && `; ${expected}`}.`
+      : `The path can be followed${expected && `: ${expected}`}.`,
     facts: [
       `${range(extent([voltage]), "V", 3)}${pace}, ${whole(voltage.length)} samples.`,
-      band ? `This is the promise for any path, ${apart}; a written file has its own promise.` : why,
+      expected ? `This is the promise ${whose}.` : why || "The written file has its own promise.",
     ],
   };
 }
 
-export const verdict = ({ light, first, facts }, ...more) =>
+export const verdict = ({ light, first, facts }) =>
   h("div", { class: `plan outcome ${light}`, id: "plan-words", role: "status" },
     h("p.first", first),
     facts.map((fact) => h("p", fact)),
-    more,
   );

@@ -1,5 +1,5 @@
 // Draws charts from the numbers inside a page.
-import { h } from "./dom.js";
+import { h, showCode } from "./dom.js";
 import { Figure } from "./figure.js";
 
 const COLUMNS = ["x", "y", "top", "values"];
@@ -34,6 +34,7 @@ export function reportParts(text) {
   element.append(...page.querySelector("main").children);
   for (const part of element.querySelectorAll("h1, .command")) part.remove();
   for (const styled of element.querySelectorAll("[data-style]")) styled.style.cssText = styled.dataset.style;
+  for (const pre of element.querySelectorAll("pre")) showCode(pre, pre.textContent);
   if (charts) drawCharts(element, JSON.parse(charts.textContent));
   return element;
 }

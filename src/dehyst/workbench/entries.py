@@ -152,15 +152,14 @@ class ModelEntry:
 def verdict_of(
     promise: Mapping[str, Any], readiness: str, basis: str, goal: float, why: Sequence[str]
 ) -> dict[str, Any]:
+    """Return a promise with its verdict, as the page shows it."""
+    return {**shown(promise), "readiness": readiness, "basis": basis, "goal": goal, "why": list(why)}
+
+
+def shown(promise: Mapping[str, Any]) -> dict[str, Any]:
     """Return the parts of a promise that the page shows."""
-    return {
-        **{name: promise[name] for name in ("largest_percent", "rms_percent", "apart")},
-        "largest_um": promise["largest_m"] * _MICRO,
-        "readiness": readiness,
-        "basis": basis,
-        "goal": goal,
-        "why": list(why),
-    }
+    parts = {name: promise[name] for name in ("largest_percent", "rms_percent", "apart")}
+    return {**parts, "largest_um": promise["largest_m"] * _MICRO}
 
 
 def worst(verdicts: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
@@ -170,11 +169,12 @@ def worst(verdicts: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
 
 @dataclass
 class ExcitationEntry:
-    """A voltage to play and record, and remarks on it in `words`."""
+    """A voltage to play and record, and remarks on it in `words`; `asked`: the values of its form."""
 
     id: str
     name: str
     file: str
+    asked: dict[str, Any] = field(default_factory=dict)
     samples: int = 0
     seconds: float = 0.0
     range_v: list[float] = field(default_factory=list)
@@ -191,19 +191,21 @@ class ExcitationEntry:
 class VoltageEntry:
     """A voltage that follows a path with a model, and remarks on it in `words`.
 
-    `largest_um`: the largest error to expect of each axis, None if it is not known.
+    `asked`: its path (a scan, points or a file), limits, slew rate and sample rate.
+    `promises`: the promise of each axis, None if it is not known.
     """
 
     id: str
     name: str
     file: str
     model: str
+    asked: dict[str, Any] = field(default_factory=dict)
     axes: list[str] = field(default_factory=list)
     samples: int = 0
     seconds: float = 0.0
     range_v: list[float] = field(default_factory=list)
     clamped: int = 0
-    largest_um: list[float | None] = field(default_factory=list)
+    promises: list[dict[str, Any] | None] = field(default_factory=list)
     words: list[str] = field(default_factory=list)
 
     def fill(self, result: Mapping[str, Any], rate: float) -> None:
@@ -215,7 +217,7 @@ class VoltageEntry:
 
         self.axes = list(result["lowest_V"]) if several else []
         self.clamped, self.range_v = sum(map(int, each("clamped"))), [min(each("lowest_V")), max(each("highest_V"))]
-        self.largest_um = [None if promise is None else promise["largest_m"] * _MICRO for promise in each("promise")]
+        self.promises = [promise and shown(promise) for promise in each("promise")]
         self.words = [str(warning) for warning in result["warnings"]]
         if max(each("homing_samples")):
             home = max(homing or 0.0 for homing in each("homing_s"))

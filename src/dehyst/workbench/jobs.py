@@ -83,12 +83,11 @@ class Worker:
         """Run an operation to its end; if this task is cancelled, the process is ended too."""
         if self._stopped:
             return Finished(stopped=True)
-        request = {"do": step}
         try:
             self._process = self._process or await self._started()
             stdin, stdout = self._process.stdin, self._process.stdout
             assert stdin is not None and stdout is not None
-            stdin.write(json.dumps(request).encode() + b"\n")
+            stdin.write(json.dumps({"do": step}).encode() + b"\n")
             while line := await stdout.readline():
                 message = json.loads(line)
                 if (done := message.get("done")) is not None:
@@ -143,12 +142,11 @@ class Worker:
 
 @dataclass
 class JobEntry:
-    """A running or ended job, and its equivalent commands in `words`."""
+    """A running or ended job."""
 
     id: str
     kind: str
     subject: str
-    words: str
     status: str = "running"
     progress: str = ""
     error: str | None = None
@@ -181,9 +179,8 @@ class Jobs:
         self, kind: str, subject: str, steps: Sequence[Sequence[str]], done: Done, progress: Progress = lambda _: None
     ) -> str:
         """Run operations one after another; call `done` with the end of the last one; return the job's key."""
-        words = "; ".join(" ".join(["dehyst", *step]) for step in steps)
         self._last += 1
-        entry = JobEntry(f"j{self._last}", kind, subject, words, progress="waiting for its turn")
+        entry = JobEntry(f"j{self._last}", kind, subject, progress="waiting for its turn")
         self.entries[entry.id] = entry
         task = asyncio.create_task(self._run(entry, steps, done, progress))
         self._tasks.add(task)

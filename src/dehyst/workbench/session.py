@@ -15,7 +15,6 @@ from typing import Any, TypeVar
 
 from dehyst._errors import DehystError, FileFormatError
 from dehyst._io import finite
-from dehyst._version import __version__
 from dehyst.operations.files import RECORD, Columns, is_model
 from dehyst.workbench import folder as places
 from dehyst.workbench.data import number_of, scan_words, written_path
@@ -36,6 +35,8 @@ _NO_RECORD = (
 )
 # Options of an identification that the page may give.
 _IDENTIFY = ("structure", "goal", "time_limit", "sensor_lag")
+# What a path consists of.
+_PATH = ("scan", "points", "file", "low", "high", "slew", "rate")
 
 _KINDS = {"records": RecordEntry, "models": ModelEntry, "voltages": VoltageEntry, "excitations": ExcitationEntry}
 
@@ -62,7 +63,7 @@ class WorkbenchSession:
         changed: Callable[[], None] = lambda: None,
         worker: Callable[[Path], Worker] = Worker,
     ) -> None:
-        self.folder, self.revision = folder, 0
+        self.folder = folder
         self.records: dict[str, RecordEntry]
         self.models: dict[str, ModelEntry]
         self.voltages: dict[str, VoltageEntry]
@@ -81,9 +82,7 @@ class WorkbenchSession:
         """Return the state that the page shows, as JSON values."""
         state: dict[str, Any] = finite(
             {
-                "revision": self.revision,
                 "folder": self.folder.path.name,
-                "version": __version__,
                 **self._entries(),
                 "records": [{**asdict(record), "form": form_of(record)} for record in self.records.values()],
                 "jobs": [asdict(job) for job in self.jobs.entries.values()],
@@ -108,9 +107,10 @@ class WorkbenchSession:
         """Write the excitation from `low` to `high` [V], with `slew` [V/s] and `frequency` [Hz]; return the job."""
         low, high = (number_of(request.get(name), name) for name in ("low", "high"))
         file = self.folder.new(places.EXCITATIONS, f"{low:g}-to-{high:g}-V", ".csv")
+        asked = {name: request.get(name) for name in ("low", "high", "slew", "frequency")}
         given = {"base": low, "present": min(max(0.0, low), high), "limits": (low, high), "output": file}
-        given |= {"slew_rate": request.get("slew"), "frequency": request.get("frequency")}
-        entry = ExcitationEntry(self._id("e"), Path(file).stem, file)
+        given |= {"slew_rate": asked["slew"], "frequency": asked["frequency"]}
+        entry = ExcitationEntry(self._id("e"), Path(file).stem, file, asked)
 
         def done(finished: Finished) -> None:
             if finished.result is not None:
@@ -288,11 +288,15 @@ class WorkbenchSession:
         self.touch()
 
     def follow(self, key: str, request: Mapping[str, Any]) -> str:
-        """Compute the voltage for a path (`points` or `scan`) with a model; return the job."""
-        model = self.model(key, ready=True)
-        file = self.folder.new(places.VOLTAGES, str(request.get("name") or model.name), ".csv")
+        """Compute the voltage for a path (`scan` or `points`, drawn or of a `file`) with a model; return the job."""
+        model, scan = self.model(key, ready=True), request.get("scan")
+        kind = scan.get("kind") if isinstance(scan, Mapping) else "path"
+        file = self.folder.new(places.VOLTAGES, f"{model.name}-{kind}", ".csv")
         steps = self._path_steps(model, request, file)
-        entry = VoltageEntry(self._id("v"), Path(file).stem, file, model.id)
+        # A file may have many points.
+        left_out = "points" if "file" in request else ""
+        asked = {name: request[name] for name in _PATH if name in request and name != left_out}
+        entry = VoltageEntry(self._id("v"), Path(file).stem, file, model.id, asked)
 
         def done(finished: Finished) -> None:
             if finished.result is not None:
@@ -339,20 +343,18 @@ class WorkbenchSession:
 
     def _path_steps(self, model: ModelEntry, request: Mapping[str, Any], file: str) -> list[list[str]]:
         """Return the operations that compute the voltage of points or of a scan."""
-        before, columns = [], None
+        before, columns, path = [], None, self.folder.new(places.PATHS, Path(file).stem, ".csv")
         if "points" in request:
-            path = self.folder.new(places.PATHS, Path(file).stem, ".csv")
             written_path(self.folder.path / path, request["points"], request.get("rate"))
         elif isinstance(request.get("scan"), Mapping):
-            path = self.folder.new(places.PATHS, f"{Path(file).stem}-scan", ".csv")
             words, axis = scan_words(request["scan"], sample_rate=request.get("rate"), output=path)
             before = [words]
             columns = f"displacement={axis}_um" if "raster" in words and not model.axes else None
         else:
             raise SessionError("path: got none, need points or a scan")
-        ends = request.get("limits") or []
-        limits = tuple(number_of(end, "limits") for end in (ends if isinstance(ends, list) else [ends]))
-        given = {"limits": limits or None, "slew_rate": request.get("slew"), "columns": columns}
+        limits = tuple(number_of(request[name], name) for name in ("low", "high") if name in request)
+        slew = "none" if request.get("slew", "") is None else request.get("slew")
+        given = {"limits": limits or None, "slew_rate": slew, "columns": columns}
         return [*before, words_of("compensate", model.file, path, output=file, **given)]
 
     def _usable(self, keys: object) -> list[RecordEntry]:
@@ -370,7 +372,6 @@ class WorkbenchSession:
 
     def touch(self) -> None:
         """Announce a change of the state, and save it soon."""
-        self.revision += 1
         self.changed()
         if self._saving is None:
             self._saving = asyncio.get_running_loop().call_later(_SOON, self._save)

@@ -15,11 +15,10 @@ watch(({ folder }) => {
 });
 buildSteps({ records: recordsView, model: modelView, path: pathView, export: exportView });
 
-const holdsFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
 window.addEventListener("dragover", (event) => event.preventDefault());
 window.addEventListener("drop", (event) => {
   event.preventDefault();
-  if (holdsFiles(event)) sendAll(event.dataTransfer.files);
+  if (event.dataTransfer?.files.length) sendAll(event.dataTransfer.files);
 });
 
 connect();

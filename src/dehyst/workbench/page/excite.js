@@ -2,12 +2,13 @@
 import { DECLARED } from "./declared.js";
 import { h } from "./dom.js";
 import { Figure, SECONDS, VOLTS } from "./figure.js";
-import { Form, card, fold, remarks } from "./forms.js";
+import { Form, card, facts, fold, list } from "./forms.js";
 import { duration, limitsFrom, range, whole } from "./numbers.js";
 import * as server from "./server.js";
 import { fileLink, jobCards } from "./verdict.js";
 
-export const form = new Form("excite", DECLARED.forms.excite);
+const form = new Form("excite", DECLARED.forms.excite);
+let filled; // the excitation whose values are in the form
 const figure = new Figure({ title: "Voltage to play" });
 
 async function write() {
@@ -15,12 +16,21 @@ async function write() {
   await server.excite({ low, high, slew: form.value("slew"), frequency: form.value("frequency") });
 }
 
+// The voltages of the last excitation, which the form shows again, and the slew rate.
+export function given({ excitations }) {
+  const last = excitations.at(-1);
+  if (last && filled !== last.id) form.fill(last.asked);
+  filled = last?.id;
+  return last ? form.values : { slew: form.values.slew };
+}
+
 // The card is open while there is no record; later it is a fold.
-export function exciteCard({ excitations, records }) {
+export function exciteCard(state) {
+  given(state);
+  const { excitations, records } = state;
   const last = excitations.at(-1);
   const content = [
-    h("p", "One run shows all that an identification needs: large and small loops, three speeds and two holds."),
-    h("p", "Begin to record time, voltage and displacement before you play it."),
+    h("p", "One run shows all that is needed: begin to record time, voltage and displacement before you play it."),
     form.row(Object.keys(form.fields)),
     server.button("Write the excitation", "excite", write, { class: last ? "" : "main" }),
     server.problem("excite"),
@@ -32,7 +42,7 @@ export function exciteCard({ excitations, records }) {
   return records.length === 0 ? card("What to play", about, content) : h("div.card", about, fold("What to play", content));
 }
 
-const written = ({ id, name, file, samples, seconds, range_v: ends, words }) =>
+const written = ({ id, name, file, samples, seconds, range_v: ends, words, asked }) =>
   h("div", { key: id },
     h("p.row",
       h("span", h("b", duration(seconds)), `, ${range(ends, "V")}, ${whole(samples)} samples`),
@@ -40,7 +50,8 @@ const written = ({ id, name, file, samples, seconds, range_v: ends, words }) =>
       server.removeButton("excitations", { id, name }),
     ),
     server.problem(`excitations ${id}`),
-    remarks(words),
+    facts([...form.rows(asked), ["In the folder", file]]),
+    list(words, "remarks"),
   );
 
 let shown; // the excitation that is drawn

@@ -11,7 +11,7 @@ const { button, problem } = server;
 
 export function modelView({ models }, model) {
   return [
-    models.length === 0 && needsModel("There is no model yet."),
+    models.length === 0 && needsModel(),
     h("ul#running.cards", { "aria-label": "Identifications" },
       models.filter((other) => other.status !== "ready").map(runningCard),
     ),
@@ -61,9 +61,8 @@ function runningCard(model) {
     title,
     h("p.muted", `Identifying from ${train.map((key) => server.recordOf(key)?.name ?? key).join(", ")}`),
     h("progress", { "aria-label": `Identification of ${name}` }),
-    h("p.progress-words", { role: "status" }, progress || "starting"),
+    h("p", { role: "status" }, progress || "starting"),
     h("p.elapsed", `${duration(Math.round(seconds))} elapsed`),
-    h("p.muted", "There is a first model within seconds; with long records the search for a better one takes minutes."),
     h("div.row", button("Finish with the best so far", place, end, quiet), button("Cancel", place, cancel, quiet)),
     problem(place),
   );

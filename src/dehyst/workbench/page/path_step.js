@@ -2,33 +2,31 @@
 import { DECLARED } from "./declared.js";
 import { Compensator, load } from "./dehyst.js";
 import { h } from "./dom.js";
-import { form as excitation } from "./excite.js";
+import { given } from "./excite.js";
 import { COLOURS, MICROMETRES, SECONDS } from "./figure.js";
-import { Form, fold, list, remarks, tick } from "./forms.js";
-import { duration, length, limitsFrom, parsed, percent, plain, range, roundDown, short, whole } from "./numbers.js";
+import { Form, facts, list, tick } from "./forms.js";
+import { bytes, duration, length, limitsFrom, parsed, percent, plain, range, roundDown, short, whole } from "./numbers.js";
 import { fastestBranch, plan, sampled } from "./path.js";
 import { NO_PROMISE, PathFigures, TOO_FAST, curve, judged, verdict } from "./path_figures.js";
 import { ScanForm } from "./scans.js";
 import * as server from "./server.js";
 import { fileLink, isOld, jobCards, lightOf, modelChoice } from "./verdict.js";
 
-const { button, chosenModel, complain, problem, redraw } = server;
+const { button, chosenModel, complain, problem, redraw, session } = server;
 
 const SOURCES = { scan: "A scan", points: "Draw points", file: "A file" };
 // A path has a promise up to ALIKE times the speed of the records; a voltage turns if it goes back by BAND of the
 // range.
 const [ALIKE, BAND] = [1.5, 0.02];
-const view = { source: "scan", points: null, file: null, asked: 0, said: null, last: null };
-const scans = new ScanForm(replan);
+const view = { source: "scan", points: null, file: null, asked: 0, said: null, written: 0 };
+const scans = new ScanForm("scan", DECLARED.forms.scan, replan);
 const form = new Form("path", DECLARED.forms.path, replan);
 const figures = new PathFigures(usePoints);
 const namesOf = (model) => (model.coupling ? model.axes.map((axis) => axis.name) : [""]);
 
 export function pathView(state, model) {
   if (!model) return null;
-  adopt(model);
-  const { said } = view;
-  const more = said?.remarks?.length > 0 && fold("What the records of the model did not show", list(said.remarks));
+  adopt(model, state);
   return h("div.split", { key: "path-body" },
     h("div.side",
       modelChoice(),
@@ -41,7 +39,7 @@ export function pathView(state, model) {
       ),
       voltages(state),
     ),
-    h("div.stage", said && verdict(said, more), figures.element),
+    h("div.stage", view.said && verdict(view.said), figures.element),
   );
 }
 
@@ -66,6 +64,7 @@ function fileField() {
     if (!file) return;
     try {
       view.file = await server.readPath(chosenModel(), file);
+      view.name = `${file.name}, ${bytes(file.size)}, ${new Date(file.lastModified).toLocaleString()}`;
       const [points] = view.file;
       const steps = points.slice(1, 1000).map((point, k) => point[0] - points[k][0]);
       form.values.rate = short(1 / Math.min(...steps), 6);
@@ -133,19 +132,33 @@ function firstPoints() {
   return [0.2, 0.75, 0.35, 0.6, 0.2].map((share, k) => [(k / 4) * seconds, low + share * (high - low)]);
 }
 
-// Fill in suggestions when another model is chosen.
-function adopt(model) {
+// Limits within those of a model and those that the user gave for the stage, as values of the form.
+export function bounds({ range_v: known }, state) {
+  const { low = "", high = "", slew = "" } = given(state);
+  const both = [Math.max(known[0], parsed(low) ?? -Infinity), Math.min(known[1], parsed(high) ?? Infinity)];
+  const ends = (both[0] < both[1] ? both : known).map((end) => plain(end, 6));
+  return { low: ends[0], high: ends[1], slew };
+}
+
+// When another model is chosen, fill in the last path that was written with its records, or suggestions.
+function adopt(model, state) {
+  const { voltages } = state;
+  // A file that was written for this path has a promise of its own.
+  if (view.written !== voltages.length) replan();
+  view.written = voltages.length;
   if (view.model === model.id) return;
   Object.assign(view, { model: model.id, file: null });
   if (model.coupling) {
     view.source = "file";
     figures.show(["path"]);
   }
-  view.points = view.source === "points" ? firstPoints() : null;
-  [form.values.low, form.values.high] = model.range_v.map((end) => plain(end, 6));
-  form.values.slew = excitation.values.slew ?? "";
-  form.values.rate = suggestedRate(model);
+  const last = voltages.findLast((own) => String(server.modelOf(own.model)?.train) === String(model.train))?.asked;
+  form.fill({ ...bounds(model, state), rate: suggestedRate(model), ...last });
   scans.suggest(model.range_um, pace(model));
+  scans.fill(last?.scan ?? {});
+  // The points of a file are not kept: the user chooses it again.
+  if (last && !model.coupling) view.source = last.scan ? "scan" : last.file ? "file" : "points";
+  view.points = last?.points ?? (view.source === "points" ? firstPoints() : null);
   replan();
 }
 
@@ -170,28 +183,11 @@ const modules = new Map(); // compiled, by model and period
 async function planNow(model) {
   const asked = (view.asked += 1);
   try {
-    if (model.coupling) {
-      view.said = planAxes(model);
-      complain("path", "");
-      return;
-    }
-    const { limits, slew, rate } = choices();
-    const period = 1 / rate;
-    const compiled = server.remembered(modules, `${model.id} ${period}`, () => load(server.wasmAddress(model, period)));
-    const wanted =
-      view.source === "scan" ? server.scanColumns({ ...scans.scan(), rate }) : sampled(chosenPaths()[0], rate);
-    const [module, path] = await Promise.all([compiled, wanted]);
-    if (asked !== view.asked) return;
-    const planned = plan(new Compensator(module, { limits, slewRate: slew, period }), path.wanted);
-    const points = view.source === "points" ? view.points : null;
-    const line = view.source === "scan" ? 1 / (scans.scan().frequency ?? NaN) : NaN;
-    const pace = paceOf(planned.voltage, rate, model);
-    const why = (isOld(model) && NO_PROMISE) || (pace > ALIKE && TOO_FAST);
-    const band = why ? 0 : model.verdict.largest_um;
-    view.last = { path, planned, limits, points, line, reach: model.range_um, band, why, pace };
-    figures.draw(view.last);
-    view.said = described(model, view.last);
-    complain("path", "");
+    const request = currentRequest(model);
+    const file = written(model, request);
+    if (model.coupling) view.said = planAxes(model, request.points, file);
+    else await planOne(model, request, file, () => asked === view.asked);
+    if (asked === view.asked) complain("path", "");
   } catch (error) {
     if (asked === view.asked) cannotPlan(error.message);
   } finally {
@@ -199,67 +195,77 @@ async function planNow(model) {
   }
 }
 
+// Draw a path with its voltage, while it is the `present` one, with the promise of its written file or of any path.
+async function planOne(model, { scan, points, low, high, slew, rate }, file, present) {
+  const period = 1 / rate;
+  const compiled = server.remembered(modules, `${model.id} ${period}`, () => load(server.wasmAddress(model, period)));
+  const wanted = scan ? server.scanColumns({ ...scan, rate }) : sampled(points, rate);
+  const [module, path] = await Promise.all([compiled, wanted]);
+  if (!present()) return;
+  const planned = plan(new Compensator(module, { limits: [low, high], slewRate: slew, period }), path.wanted);
+  const { verdict: known, fastest_v_per_s: fastest, range_v: volts, range_um: reach } = model;
+  const promise = file?.promises[0] ?? known;
+  // The fastest branch of the voltage, as a multiple of the fastest one of the records.
+  const pace = fastest ? (rate * fastestBranch(planned.voltage, BAND * (volts[1] - volts[0]))) / fastest : NaN;
+  const why = (isOld(model) && NO_PROMISE) || (pace > ALIKE && !file && TOO_FAST);
+  const band = why ? 0 : promise.largest_um;
+  const [line, handles] = [1 / (scan?.frequency ?? NaN), view.source === "points" ? points : null];
+  figures.draw({ path, planned, limits: [low, high], reach, band, line, points: handles });
+  const above = known.readiness === "READY" && promise.largest_percent > known.goal;
+  const light = !band || above ? "amber" : lightOf(known)[0];
+  const speed = pace > 1.001 ? ` (its fastest branch is ${short(pace)} times as fast as that of the records)` : "";
+  view.said = judged(planned, { ...promise, band, why, light, speed, file: file?.file });
+}
+
 // Draw a path of several axes, without voltages, which depend on one another.
-function planAxes(model) {
-  const names = namesOf(model);
-  const paths = chosenPaths();
+function planAxes(model, points, file) {
   figures.handles.set([], model.range_um);
-  const column = (k, at) => Float64Array.from(paths[k], (point) => point[at]);
-  const series = names.map((name, k) => curve(name, COLOURS[k % COLOURS.length], column(k, 0), column(k, 1)));
-  const spoken = `Wanted displacement of ${names.join(", ")} over time.`;
+  const column = (path, at) => Float64Array.from(path, (point) => point[at]);
+  const series = Object.entries(points).map(([name, path], k) =>
+    curve(name, COLOURS[k % COLOURS.length], column(path, 0), column(path, 1)),
+  );
+  const spoken = `Wanted displacement of ${Object.keys(points).join(", ")} over time.`;
   figures.path.set({ x: SECONDS, y: MICROMETRES, series }, { spoken });
   const [light] = lightOf(model.verdict);
-  const expected = model.axes.map(({ name }) => {
-    const { largest_um: um, largest_percent: share } = model.coupling.verdicts[name];
+  const expected = model.axes.map(({ name }, k) => {
+    const { largest_um: um, largest_percent: share } = file?.promises[k] ?? model.coupling.verdicts[name];
     return `${name} within ${length(um)} (${percent(share)} of the stroke)`;
   });
   return {
     light,
     first: isOld(model) ? NO_PROMISE : `Expect ${expected.join(", ")}, ${model.verdict.apart}.`,
     facts: ["The voltages of coupled axes are computed when they are written, within the limits of the records."],
-    remarks: model.verdict.remarks,
   };
 }
 
 // Show no verdict without a plan: the last verdict is that of another path.
 function cannotPlan(why) {
-  const before = view.last ? " The pictures show the last path." : "";
-  view.said = { light: "amber", first: `This path has no voltage yet: the message below its options says why.${before}`, facts: [] };
+  view.said = { light: "amber", first: "This path has no voltage yet: the message below its options says why.", facts: [] };
   complain("path", why);
   redraw();
 }
 
-// The fastest branch of a voltage, as a multiple of the fastest one of the records.
-const paceOf = (voltage, rate, { range_v: [low, high], fastest_v_per_s: fastest }) =>
-  fastest ? (rate * fastestBranch(voltage, BAND * (high - low))) / fastest : NaN;
-
-function described({ slew_v_per_s: recorded, verdict: known }, { planned, band, why, pace }) {
-  const light = band ? lightOf(known)[0] : "amber";
-  const slewed = recorded && planned.clamps.slewed ? ` (recorded: up to ${short(recorded)} V/s)` : "";
-  const speed = pace > 1.001 ? ` (its fastest branch is ${short(pace)} times as fast as that of the records)` : slewed;
-  return { ...judged(planned, { ...known, band, why, light, speed }), remarks: known.remarks };
-}
-
-function choices() {
-  const { low, high } = form.values;
-  return { limits: limitsFrom(low, high), slew: form.value("slew"), rate: form.value("rate") };
-}
-
-// The path as a request to the server.
-function currentRequest() {
-  const model = chosenModel();
+// The path and its limits, as a request to the server.
+function currentRequest(model) {
+  const others = { ...(view.source === "file" && { file: view.name }), rate: form.value("rate") };
   if (model.coupling) {
-    const points = Object.fromEntries(namesOf(model).map((name, k) => [name, chosenPaths()[k]]));
-    return { points, rate: form.value("rate") };
+    return { points: Object.fromEntries(namesOf(model).map((name, k) => [name, chosenPaths()[k]])), ...others };
   }
-  const { slew, ...others } = choices();
+  const [low, high] = limitsFrom(form.values.low, form.values.high);
   const path = view.source === "scan" ? { scan: scans.scan() } : { points: chosenPaths()[0] };
-  return { ...path, ...others, slew: slew ?? "none" };
+  return { ...path, ...others, low, high, slew: form.value("slew") };
+}
+
+// The last voltage that was written for the path of a request.
+function written(model, request) {
+  const path = ({ scan, points, file, low, high, slew, rate }) =>
+    JSON.stringify([file ?? scan ?? points, low, high, slew, rate]);
+  return session.state.voltages.findLast((own) => own.model === model.id && path(own.asked) === path(request));
 }
 
 // An async function: an error in the request is shown like an error of the server.
 const write = async () =>
-  server.workOn(chosenModel().id, "follow", currentRequest(), "The voltage is being computed.");
+  server.workOn(chosenModel().id, "follow", currentRequest(chosenModel()), "The voltage is being computed.");
 
 // The written voltages with their downloads, and the jobs that write a voltage.
 function voltages(state) {
@@ -272,14 +278,19 @@ function voltages(state) {
   );
 }
 
-function voltageCard({ id, name, file, range_v: ends, samples, seconds, model, clamped, words = [], ...more }) {
-  const errors = (more.largest_um ?? []).map((um, k) => um && `${more.axes[k] ?? ""} ${length(um)}`.trim());
-  const maker = server.modelOf(model)?.name ?? "a model that was removed";
+function voltageCard({ id, name, file, range_v: ends, samples, seconds, model, words, promises, axes, asked }) {
+  const path = asked.file ?? (asked.points && `drawn, ${asked.points.length} points`);
+  const errors = promises.map((promise, k) => promise && `${axes[k] ?? ""} ${length(promise.largest_um)}`.trim());
   return h("li.card", { key: id },
     h("div.card-head", h("h3", name), fileLink(file, "Download CSV", { class: "button main" })),
-    h("p", `${range(ends, "V")}, ${whole(samples)} samples in ${duration(seconds)}, by ${maker}.`),
-    errors.some(Boolean) && h("p.muted", `Promised within ${errors.filter(Boolean).join(", ")}.`),
-    clamped > 0 && h("p.muted", `${whole(clamped)} voltages are clamped.`),
-    remarks(words),
+    facts([
+      ...(asked.scan ? scans.rows(asked.scan) : [["Path", path]]),
+      ...form.rows(asked),
+      ["Voltage", `${range(ends, "V")}, ${whole(samples)} samples in ${duration(seconds)}`],
+      ["Promise", errors.some(Boolean) ? `within ${errors.filter(Boolean).join(", ")}` : undefined],
+      ["Model", server.modelOf(model)?.name ?? "removed"],
+      ["In the folder", file],
+    ]),
+    list(words, "remarks"),
   );
 }

@@ -3,11 +3,11 @@ import { DECLARED } from "./declared.js";
 import { byId, h } from "./dom.js";
 import { exciteCard } from "./excite.js";
 import { COLOURS, Figure, MICROMETRES, SECONDS, VOLTS } from "./figure.js";
-import { Form, card, facts, fold, list, remarks, tick } from "./forms.js";
+import { Form, card, facts, fold, list, tick } from "./forms.js";
 import { duration, range, short, whole } from "./numbers.js";
 import { readingForm } from "./reading.js";
 import * as server from "./server.js";
-import { isOpen, openStep } from "./steps.js";
+import { openStep } from "./steps.js";
 
 const { announce, button, problem, readyRecords, redraw, session } = server;
 // These elements are in index.html.
@@ -117,13 +117,13 @@ function readyCard(record) {
       ["Voltage", range(voltage, "V")],
       ["Displacement", range(displacement, "\u00b5m")],
       ...Object.entries(others).map(([column, ends]) => [column, range(ends, "")]),
-      ...(record.axes.length ? [["Coupled axes", record.axes.join(", ")]] : []),
+      ["Coupled axes", record.axes.join(", ") || undefined],
     ]),
-    remarks(problems),
+    list(problems, "remarks"),
     record.columns.includes("?") && button("Verified", `verified ${id}`, verify, { "aria-label": `Verified: ${name}` }),
     problem(`verified ${id}`),
     understood && fold("How the file was understood", list(words), readingForm(record)),
-    isOpenQuestion(record) && h("p.question", "What is it for?"),
+    isOpenQuestion(record) && h("p", "What is it for?"),
     h("div.row",
       role("Train", "train"),
       role("Validate", "validate"),
@@ -182,12 +182,12 @@ class RecordFigure extends Figure {
     super({ title: "What was measured", views, choose: () => this.draw(this.records), tall: true });
   }
 
-  // Draw these records, unless they are drawn already or the step is not open.
+  // Draw these records, unless they are drawn already.
   async draw(records) {
     this.records = records;
     const version = (record) => `${record.columns} ${record.samples}`;
     const stamp = `${this.view} ${records.map((record) => `${record.id}:${version(record)}`).join(" ")}`;
-    if (stamp === this.stamp || !isOpen("records")) return;
+    if (stamp === this.stamp) return;
     this.stamp = stamp;
     const { x, y, columns } = VIEWS[this.view];
     try {

@@ -9,10 +9,6 @@ const SUGGESTED = [0.2, 0.8]; // lowest and highest displacement, as parts of th
 const STEEPEST = 0.5 * 1.875; // largest speed of a change of level, in widths of the scan per duration of the change
 
 export class ScanForm extends Form {
-  constructor(changed) {
-    super("scan", DECLARED.forms.scan, changed);
-  }
-
   // Suggest displacements that the model reaches, and speeds of at most `pace` reachable ranges a second.
   suggest([low, high], pace) {
     const place = (share) => plain(low + share * (high - low), 3);

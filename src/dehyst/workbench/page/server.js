@@ -13,8 +13,8 @@ async function request(path, options) {
 
 const getBuffer = async (path) => (await request(path)).arrayBuffer();
 const TYPE = { "Content-Type": "application/json" };
-const json = (body) => ({ method: "POST", headers: TYPE, body: JSON.stringify(body) });
-const post = async (path, body = {}) => (await request(path, json(body))).json();
+const post = async (path, body = {}) =>
+  (await request(path, { method: "POST", headers: TYPE, body: JSON.stringify(body) })).json();
 
 export const excite = (body) => post("/api/excitations", body);
 // The body is { columns }, { form } with the values of the form, or { verified }.
@@ -93,27 +93,22 @@ export function redraw() {
   });
 }
 
-const [FIRST_WAIT, LONGEST_WAIT] = [300, 5000]; // milliseconds
+const AGAIN = 1000; // milliseconds until the server is tried again
 
-export function connect(wait = FIRST_WAIT) {
+export function connect() {
   const socket = new WebSocket(`ws://${location.host}/api/events`);
-  let next = Math.min(2 * wait, LONGEST_WAIT);
-  socket.onopen = () => {
-    next = FIRST_WAIT;
-    linked(true);
-  };
+  socket.onopen = () => linked(true);
   socket.onmessage = ({ data }) => {
     session.state = { ...NOTHING, ...JSON.parse(data) };
     tell();
   };
   socket.onclose = () => {
     linked(false);
-    setTimeout(connect, wait, next);
+    setTimeout(connect, AGAIN);
   };
 }
 
 function linked(connected) {
-  if (session.connected === connected) return;
   session.connected = connected;
   redraw();
 }

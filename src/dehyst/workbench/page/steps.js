@@ -8,12 +8,12 @@ const counted = ({ length }, noun) => `${length} ${noun}${length === 1 ? "" : "s
 // The state of a step: done, with `words`, or not begun, with the text `before`.
 const reached = (words, before) => (words ? { text: words, mark: "done" } : { text: before });
 const pathState = ({ voltages }) => reached(voltages.length > 0 && counted(voltages, "voltage"), "no voltage yet");
-// Title and state of each step, and its text while the model that it needs is missing. A mark colours the number.
+// Title and state of each step, and whether it needs a model. A mark colours the number.
 const STEPS = {
   records: ["Records", recordsState],
   model: ["Model", modelState],
-  path: ["Path and voltage", pathState, "A path needs a model that is ready."],
-  export: ["Export", ({ files }) => ({ text: counted(files, "file") }), "An export needs a model."],
+  path: ["Path and voltage", pathState, true],
+  export: ["Export", ({ files }) => ({ text: counted(files, "file") }), true],
 };
 const IDS = Object.keys(STEPS);
 let pages = {};
@@ -28,8 +28,6 @@ export function buildSteps(views) {
   watch(refresh);
   openStep(location.hash.slice(1));
 }
-
-export const isOpen = (id) => open === id;
 
 export function openStep(wanted, { focus = false } = {}) {
   const before = open;
@@ -47,15 +45,14 @@ function refresh(state) {
   fill(byId("steps"), IDS.map((id, k) => tab(id, k, state)));
   for (const id of IDS) byId(id).hidden = id !== open;
   const [title, , needs] = STEPS[open];
-  const heading = h("h2.unseen", title);
   const model = chosenModel();
-  fill(byId(open), heading, needs && !model && needsModel(needs), pages[open](state, model));
+  fill(byId(open), h("h2.unseen", title), needs && !model && needsModel(), pages[open](state, model));
 }
 
 export const goTo = (step, text, look = "main") =>
   h("button", { type: "button", class: look, onclick: () => openStep(step, { focus: true }) }, text);
 
-export const needsModel = (words) => h("div.empty", h("p", words), goTo("records", "To the records"));
+export const needsModel = () => h("div.empty", h("p", "There is no model yet."), goTo("records", "To the records"));
 
 function tab(id, k, state) {
   const [title, describe, needs] = STEPS[id];

@@ -34,7 +34,6 @@ export function checkCard(model) {
     const work = () => workOn(model.id, what, { record }, begun).then(() => what === "update" && chooseModel(""));
     return button(text, "check", work, { ...look, hidden: jobs.some(runs) });
   };
-  const measure = ["Measure one loop again now and then, and drop its record. ", goTo("records", "To the records", "")];
   return card("Is it still true?", { id: "check", key: "check" },
     check &&
       h("div", { class: `outcome ${check.good ? "green" : "amber"}`, role: "status", id: "check-result" },
@@ -43,7 +42,7 @@ export function checkCard(model) {
         check.remarks.length > 0 && fold("What limits this check", list(check.remarks)),
         check.updates && act("Update the model", "update", check.record, "The update has begun.", { class: "main" }),
       ),
-    records.length === 0 && h("p", measure),
+    records.length === 0 && h("p", "Measure a loop again now and then, and drop its record. ", goTo("records", "Records", "")),
     records.length > 0 && checking.field("record"),
     records.length > 0 && act("Check the model", "check", checking.values.record, "The check has begun."),
     h("ul.cards", jobCards(jobs)),

@@ -1,6 +1,6 @@
 // The verdict of a model (its promise as number and colour, then the reasons), and the choice of the model.
 import { h, table } from "./dom.js";
-import { fold, list, options } from "./forms.js";
+import { list, options } from "./forms.js";
 import { length, percent, range } from "./numbers.js";
 import { reportParts } from "./report.js";
 import * as server from "./server.js";
@@ -17,23 +17,14 @@ export const lightOf = ({ readiness }) => LIGHTS[readiness] ?? ["amber", readine
 // True if the last check found that the model no longer holds.
 export const isOld = ({ check }) => Boolean(check && !check.good);
 
-const VERDICT_HEADS = [{ text: "Verdict", class: "text" }, "Largest error", "Largest error", "RMS error"];
-function verdictCells(verdict) {
-  const [colour, words] = lightOf(verdict);
-  const light = h("td.text", h("span", { class: `light ${colour}` }, words));
-  return [light, percent(verdict.largest_percent), length(verdict.largest_um), percent(verdict.rms_percent)];
-}
-
 export function verdictBlock({ verdict }) {
   const [light, words] = lightOf(verdict);
   const { largest_percent: largest, largest_um: um, rms_percent: rms, basis, goal, why = [], apart } = verdict;
-  const things = why.length === 1 ? "One thing to know" : `${why.length} things to know`;
   return h("div", { class: `outcome ${light}`, role: "status", "aria-label": "Verdict" },
     h("strong", words),
     h("b", `${percent(largest)} of the stroke `, h("small", `or ${length(um)}`)),
     h("p", `is the largest error to expect (RMS ${percent(rms)}, from ${basis}; goal ${percent(goal)}), ${apart}.`),
-    why.length > 0 && fold(things, list(why)),
-    list(verdict.remarks, "remarks"),
+    list([...why, ...verdict.remarks], "remarks"),
   );
 }
 
@@ -42,9 +33,12 @@ export function axesBlock({ axes, coupling }) {
   if (!coupling) return null;
   const { matrix, verdicts } = coupling;
   const rows = axes.map(({ name, range_v: volts, range_um: reach }) => {
-    return [name, ...verdictCells(verdicts[name]), range(volts, "V"), range(reach, "\u00b5m")];
+    const { largest_percent: largest, largest_um: um, rms_percent: rms } = verdicts[name];
+    const [colour, words] = lightOf(verdicts[name]);
+    const light = h("td.text", h("span", { class: `light ${colour}` }, words));
+    return [name, light, percent(largest), length(um), percent(rms), range(volts, "V"), range(reach, "\u00b5m")];
   });
-  const heads = ["Axis", ...VERDICT_HEADS, "Known for", "Reaches"];
+  const heads = ["Axis", { text: "Verdict", class: "text" }, "Largest error", "Largest error", "RMS error", "Known for", "Reaches"];
   const moved = (i, j) => `${axes[j].name} moves ${axes[i].name} by ${percent(100 * matrix[i][j])}`;
   const pairs = axes.flatMap((_, i) => axes.flatMap((_, j) => (i === j ? [] : [moved(i, j)])));
   return h("section", { "aria-label": "Axes", key: "axes" },
