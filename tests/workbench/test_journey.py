@@ -113,7 +113,7 @@ def test_a_report_is_shown_without_the_permissions_of_the_page(visited):
 def test_an_assessment_is_a_report_of_the_folder(visited):
     folder, state, *_ = visited
     report = (folder / state["models"][0]["insight"]["report"]).read_text()
-    assert all(words in report for words in ("Where the records turned", "What the turning points determine"))
+    assert all(words in report for words in ("Where the records turned", "To record next</h2>\n<p"))
 
 
 @pytest.mark.nightly

@@ -151,8 +151,8 @@ def _insight(found: Insight) -> list[Part]:
         f'<p class="muted">Records: {records} · stroke {escape(length(found.stroke))}</p>',
         sections.promised(found),
         *sections.planned(found),
-        *sections.turned(found.turns, sections.path_turns(found)),
         *sections.determined(found),
+        *sections.turned(found.turns, sections.path_turns(found)),
     ]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -271,14 +271,13 @@ def path_turns(found: Insight) -> Sequence[Turn]:
     return plane.path(plan.voltage[plan.first :], None if plan.time is None else plan.time[plan.first :])
 
 
-def determined(found: Insight) -> list[Part]:
-    """Return what to record next, and the combinations of stiffnesses that the records determine."""
+def determined(found: Insight) -> Iterator[Part]:
+    """Yield what to record next, and the combinations of stiffnesses that the records determine."""
     commands, directions = "\n".join(map(escape, found.record_next)), found.identifiability
-    return [
-        f"<h2>What to record next</h2>\n<pre><code>{commands}</code></pre>" if commands else "",
-        f"<h2>What the turning points determine</h2>\n<p>The turning points of the records determine "
-        f"{directions.determined} of {directions.of} combinations of stiffnesses of {escape(directions.subject)}.</p>",
-    ]
+    asked = f"<pre><code>{commands}</code></pre>" if commands else "<p>Nothing: no excitation would test more.</p>"
+    known = f"{directions.determined} of {directions.of} combinations of stiffnesses of {escape(directions.subject)}"
+    yield f"<h2>To record next</h2>\n{asked}"
+    yield f"<h2>What the turning points determine</h2>\n<p>The turning points of the records determine {known}.</p>"
 
 
 def coupling(axes: Sequence[str], matrix: Array, errors: Array, caption: str) -> str:

@@ -35,7 +35,7 @@ _NO_RECORD = (
 )
 # Options of an identification that the page may give.
 _IDENTIFY = ("structure", "goal", "time_limit", "sensor_lag")
-# What a path consists of.
+# The values of a path.
 _PATH = ("scan", "points", "file", "low", "high", "slew", "rate")
 
 _KINDS = {"records": RecordEntry, "models": ModelEntry, "voltages": VoltageEntry, "excitations": ExcitationEntry}
