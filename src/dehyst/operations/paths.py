@@ -53,7 +53,7 @@ def reason_of(promise: Promise | None, tested: Validity | None) -> list[str]:
     cause = max(promise.parts, key=promise.parts.__getitem__)
     known = [each.sentence for each in promise.untested if (each.what == "temperature") is (cause == "temperature")]
     if cause == "model" and not known and tested:
-        words = "The promise rests on held-out parts missed by {} RMS, other models {} away, {} more on fast branches."
+        words = "The promise rests on RMS errors of {} on held-out parts, {} between models, {} more on fast branches."
         return [words.format(*map(length, (tested.rms, tested.disagreement, tested.growth)))]
     # The plan itself has remarks on the start and on missed samples.
     return [] if cause in ("start", "missed") else known[:1]
