@@ -229,7 +229,7 @@ def test_a_record_of_no_actuator_has_changes_in_numbers():
     time = 0.02 * np.arange(2000)
     voltage = np.round(50 + 45 * np.sin(2 * np.pi * time / 10))
     model = Actuator(MaxwellSlip([1e-7, 5e-7], [2e6, 1e6]), Spring([-2e-6, 0, 1.1e-5], [-20, 0.1, 95]), limits=(0, 90))
-    recheck = dehyst.check(model, Record(time, voltage, 1e-3 * (50 + 45 * np.sin(2 * np.pi * time / 10))))
+    recheck = dehyst.check(model, Record(time, voltage, 4e-5 * (50 + 45 * np.sin(2 * np.pi * time / 10))))
     assert recheck.mismatch
     assert all(np.isfinite([change.value, change.effect]).all() for change in recheck.changes)
 
