@@ -59,11 +59,8 @@ def test_a_full_or_closed_standard_error_does_not_change_the_result(folder):
 def test_a_full_device_as_output_is_reported(folder):
     (folder / "full.csv").symlink_to(FULL)
     status, out, err = run("excite", "raised-cosine", "10", "-o", "full.csv", cwd=folder)
-    assert (status, out) == (2, "")
-    assert (
-        err == "dehyst: full.csv: cannot be written (No space left on device); make room there, or name a place "
-        "that has some\n"
-    )
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert "full.csv: cannot be written (No space left on device)" in err
     assert (folder / "full.csv").is_symlink()
 
 

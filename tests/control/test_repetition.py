@@ -86,21 +86,16 @@ def test_a_clamped_cycle_is_not_learnt():
 
 
 @pytest.mark.parametrize(
-    ("sensor", "fault"),
-    [
-        (lambda y: 0.9 * STROKE - y, SensorFault.FAR),
-        (lambda y: 1e6 * y, SensorFault.FAR),
-        (lambda y: 0 * y + 0.45 * STROKE, SensorFault.FAR),
-        (lambda y: np.roll(y, 60), SensorFault.FAR),
-    ],
+    "sensor",
+    [lambda y: 0.9 * STROKE - y, lambda y: 1e6 * y, lambda y: 0 * y + 0.45 * STROKE, lambda y: np.roll(y, 60)],
 )
-def test_a_faulty_sensor_is_not_believed(sensor, fault):
+def test_a_faulty_sensor_is_not_believed(sensor):
     life = Life()
     for _ in range(3):
         life.cycle()
     with pytest.warns(SensorWarning) as caught:
         life.cycle(sensor)
-    assert len(caught) == 1 and life.repetition.fault is fault and not np.any(life.repetition.correction)
+    assert len(caught) == 1 and life.repetition.fault is SensorFault.FAR and not np.any(life.repetition.correction)
     assert not life.cycle(sensor) and not life.cycle(sensor)
     assert life.errors[-1] == pytest.approx(life.errors[0], rel=0.05)
     life.repetition.reset()
