@@ -423,7 +423,7 @@ def test_a_damaged_state_is_refused_with_its_name(folder, damage):
 
 
 NO_NUMBERS = [[0, 1], [1, float("nan")]], "abc", [[0, "x"], [1, 2]]
-NO_PATHS = [], [[0, 1]], [[0, 1], [0, 2]], [[0, 1, 2], [1, 2, 3]]
+NO_PATHS = [], [[0, 1]], [[0, 1], [0, 2], [1, 3]], [[0, 1, 2], [1, 2, 3]]
 NO_RATES = ([[0, 1], [1, 2]], 0), ([[0, 1], [1, 2]], None), ([[0, 1], [1e9, 2]], 1e6)
 
 
