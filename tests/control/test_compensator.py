@@ -3,7 +3,6 @@
 import math
 import pickle
 import threading
-import warnings
 from dataclasses import replace
 
 import compiled_exports
@@ -17,6 +16,8 @@ from hypothesis import strategies as st
 from dehyst import ClampWarning, Compensator, DisplacementCreep, Dynamics, ModelError, State
 from dehyst.model import turned
 
+# Clamped samples are counted.
+pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 PLANT = plain_records.plant(10, seed=4)
 PERIOD = 1 / wide.RATE
 FREE = (-1e4, 1e4)
@@ -48,12 +49,6 @@ def started(actuator, seed):
     return turned(actuator, plain_records.STROKE * np.random.default_rng(seed).uniform(0.2, 0.8))
 
 
-def quietly(function, *arguments):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ClampWarning)
-        return function(*arguments)
-
-
 def replayed(actuator, start, voltage, period=PERIOD):
     """What the actuator does with voltages, the first one period after the state."""
     held = np.append(actuator.voltage(start), voltage)
@@ -79,7 +74,7 @@ def test_a_path_without_clamps_is_followed(name, seed):
     voltage = np.empty(path.size)
     for i, y in enumerate(path):
         before = compensator.clamps
-        voltage[i] = quietly(compensator.step, y)
+        voltage[i] = compensator.step(y)
         clamped[i] = compensator.clamps != before
     reached = replayed(actuator, start, voltage).displacement[1:]
     assert np.abs(reached - path)[~clamped].max(initial=0.0) < 1e-11 * plain_records.STROKE
@@ -99,7 +94,7 @@ def test_a_start_beyond_the_limits_begins_at_the_nearest_limit(name):
     assert actuator.voltage(compensator.state) == pytest.approx(high, abs=1e-9 * high)
     if actuator.dynamics is not None:
         assert compensator.state.motion[0] == compensator.state.deformation
-    assert high >= quietly(compensator.step, 0.9 * plain_records.STROKE) > high - 1e3 * PERIOD - 1e-9
+    assert high >= compensator.step(0.9 * plain_records.STROKE) > high - 1e3 * PERIOD - 1e-9
     with pytest.raises(ModelError, match="displacement: got nan"):
         compensator.step(math.nan)
     assert 0 <= compensator.voltage <= high
@@ -119,22 +114,16 @@ def test_a_voltage_from_which_no_step_returns_to_the_limits_is_refused(volts):
         assert 5 <= voltage <= 90 and abs(voltage - start) <= 1.5 * (1 + 1e-9)
 
 
-def said_of(call, wanted):
-    """Return the warnings of a call with a wanted displacement."""
-    with warnings.catch_warnings(record=True) as heard:
-        warnings.simplefilter("always")
-        call(wanted)
-    return [warning.message for warning in heard]
-
-
 def test_a_slewed_step_names_the_previous_voltage():
     options = {"limits": (0.0, 200.0), "slew_rate": 1e3, "period": 1e-3}
     low, given = 0.2 * plain_records.STROKE, turned(PLANT, 0.9 * plain_records.STROKE)
     for state in (None, given):
         loop, copied = (Compensator(PLANT, **options, state=state) for _ in range(2))
         before = PLANT.voltage() if state is None else PLANT.voltage(given)
-        assert [said.before for said in said_of(loop.step, low)] == [before]
-        assert [said.before for said in said_of(pickle.loads(pickle.dumps(copied)).run, np.full(3, low))] == [before]
+        for call, wanted_ in ((loop.step, low), (pickle.loads(pickle.dumps(copied)).run, np.full(3, low))):
+            with pytest.warns(ClampWarning) as said:
+                call(wanted_)
+            assert [warning.message.before for warning in said] == [before]
 
 
 def test_a_snapshot_of_another_loop_is_refused():
@@ -165,11 +154,11 @@ def test_another_model_of_the_same_shape_continues_from_a_snapshot(name):
         model, (20, 140), 5e3, period=PERIOD, state=started(actuator, 1), preview=True, units="um"
     )
     first, second = make(actuator), make(other)
-    sent = [quietly(first.run, 1e6 * path[:150])]
+    sent = [first.run(1e6 * path[:150])]
     second.restore(first.snapshot())
     assert first.clamps == second.clamps
     assert gap(first.state, second.state) == 0
-    sent.append(quietly(second.run, 1e6 * path[150:]))
+    sent.append(second.run(1e6 * path[150:]))
     assert np.abs(np.diff(np.concatenate(sent))).max() <= 5e3 * PERIOD * (1 + 1e-9)
 
 
@@ -205,10 +194,10 @@ def test_a_period_too_short_for_the_preview_is_refused(period):
 def test_a_reset_begins_again():
     compensator = Compensator(PLANT, (0, 100), state=turned(PLANT, 5e-6))
     path = wanted(3)
-    voltage = quietly(compensator.run, path)
+    voltage = compensator.run(path)
     compensator.reset()
     assert compensator.clamps == (0, 0)
-    np.testing.assert_array_equal(quietly(compensator.run, path), voltage)
+    np.testing.assert_array_equal(compensator.run(path), voltage)
     compensator.reset(PLANT.relaxed(0.0))
     assert compensator.voltage == pytest.approx(0.0, abs=1e-9)
 
@@ -286,9 +275,7 @@ def test_a_long_run_agrees_with_steps_to_rounding(kind, slew):
     long, steps = (Compensator(actuator, (20, 80), slew, period=PERIOD, warns=False) for _ in range(2))
     for driven in (long, steps):
         driven.scale(1.01, 1e-9)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ClampWarning)
-        ran = np.concatenate([long.run(path[:15_000]), long.run(path[15_000:])])
+    ran = np.concatenate([long.run(path[:15_000]), long.run(path[15_000:])])
     expected = np.array([steps.step(y) for y in path.tolist()])
     np.testing.assert_allclose(ran, expected, rtol=0, atol=1e-8)
     assert long.clamps == steps.clamps and sum(long.clamps) > 0

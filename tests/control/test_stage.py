@@ -1,6 +1,5 @@
 """A stage: simulation and compensation of coupled axes, and its file."""
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +10,8 @@ from dehyst import Actuator, Compensator, MaxwellSlip, Spring, Stage
 from dehyst.control import PossibleStart, plan_path
 from dehyst.control.planning.path import plan_voltage
 from dehyst.model import turned
+
+pytestmark = pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 
 
 def actuator(scale=1.0, **options):
@@ -55,7 +56,6 @@ def random_loop(rng, most=0.15):
     return Compensator(model, period=1e-3, limits=limits, slew_rate=rng.uniform(100, 2000, size).tolist())
 
 
-@pytest.mark.filterwarnings("ignore::dehyst.ClampWarning")
 @pytest.mark.parametrize("seed", range(5))
 def test_a_whole_path_with_all_axes_clamped_equals_its_steps(seed):
     rng = np.random.default_rng(seed)
@@ -188,9 +188,7 @@ def test_a_temperature_reaches_each_actuator_that_depends_on_it(shape):
         assert np.abs((reached - wanted) @ model.decoupling.T)[:, 1:].max() < 1e-13
         assert (np.abs(reached - wanted)[:, 0].max() > 1e-7) == (limits is not None)
         each = np.broadcast_to(degrees[:, None] if degrees.ndim == 1 else degrees, wanted.shape)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", dehyst.ClampWarning)
-            stepped = np.array([loop.step(y, now) for y, now in zip(wanted, each, strict=True)])
+        stepped = np.array([loop.step(y, now) for y, now in zip(wanted, each, strict=True)])
         np.testing.assert_allclose(stepped, voltage, atol=1e-9)
         np.testing.assert_allclose(loop.displacement, reached[-1], atol=1e-13)
         seen = plan_voltage(loop, voltage, time=np.arange(300.0), temperature=degrees, start=starts)
