@@ -320,7 +320,7 @@ async def test_a_record_of_several_axes_is_identified_and_followed(stage):
     columns = [{"name": "vx", "unit": "V", "range": [0, 100]}]
     parts = {"axes": {"x": {**SHOWN, "problems": [], "file_columns": columns}, "y": second}}
     entry = stage.session.add_record("uploads/two.csv", "two.csv")
-    await stage.next(Finished({"axes": parts}))
+    await stage.next(Finished(parts))
     assert (entry.status, entry.axes, entry.voltage) == ("ready", ["x", "y"], [-5, 120])
     assert (entry.problems, entry.usable, entry.file_columns) == (["y: short"], False, columns)
     model = stage.session.identify({"train": [entry.id]})
