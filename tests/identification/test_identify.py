@@ -2,6 +2,7 @@
 
 import json
 import signal
+from dataclasses import replace
 from functools import cache
 
 import coupled_stage
@@ -65,6 +66,8 @@ def test_a_single_loop_is_identified_as_after_equal_loops():
     moved = fit.simulate(loops.voltage).displacement - whole.displacement
     assert np.ptp(moved[1000:]) < 5e-3 * truth.stroke
     assert "motion before the record" in fit.options["records"][0]["guesses"]
+    beside = dehyst.identify([whole, replace(whole[1000:], name="one")])
+    assert not any("guesses" in record for record in beside.options["records"])
 
 
 @cache

@@ -21,7 +21,7 @@ ROOMS = {
     "exports": 1265,
     "fleet": 310,
     "foundation": 1325,
-    "identification": 5798,
+    "identification": 5799,
     "instruments": 2434,
     "model": 3370,
     "operations": 2672,
@@ -36,7 +36,7 @@ ROOMS = {
     "workbench": 2197,
 }
 HOUSE = {
-    "lines of Python": 35873,
+    "lines of Python": 35874,
     "files of Python": 186,
     "lines of C and C++": 5786,
     "lines of JavaScript and CSS": 2700,

@@ -106,7 +106,7 @@ def _alone(
         return _Run(settings, some, others, report, deadline).fit()
 
     with one_thread():
-        return events.identified([*map(after_loops, as_list(training))], as_list(held_out), fit)
+        return events.identified(after_loops(as_list(training)), as_list(held_out), fit)
 
 
 @dataclass(eq=False)
@@ -177,10 +177,6 @@ class _Run:
         """All records, training first."""
         return [*self.training, *self.held_out]
 
-    def can_drift(self) -> bool:
-        """Whether all training records may drift."""
-        return self.settings.drift and any(item.can_drift for item in self.training)
-
     def _moving(self, *, plain: bool) -> tuple[str, ...]:
         """Find the parts that move in time, and their numbers."""
         step = partial(
@@ -188,7 +184,7 @@ class _Run:
             self.frame,
             self.report,
             lag=self.settings.delay is None,
-            drift=self.can_drift(),
+            drift=self.settings.drift and any(item.can_drift for item in self.training),
             more=not plain,
         )
         nothing: tuple[Frame, tuple[str, ...], list[Trial]] = self.frame.with_motion(reference=None), (), []

@@ -71,8 +71,8 @@ def block_means(record: Record, block: int) -> Record:
     )
 
 
-# Least number of samples; the ends of a loop are at one voltage, apart from this part of its range.
-_SHORTEST, _CLOSED = 20, 0.02
+# Least number of samples; the ends of a loop are at one place, apart from this part of its ranges.
+_SHORTEST, _CLOSED = 20, 0.04
 # Origin of the logarithm of a drift, in cycles before the record.
 _FIRST = 0.1
 # Cycles with more samples than this allow a wide window for derivatives.
@@ -324,12 +324,17 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
     )
 
 
-def after_loops(record: Record) -> Record:
-    """Return a record of one loop with an equal loop before it, a guess that is stated; other records unchanged."""
-    v, y, time, known = record.voltage, record.displacement, record.time, record.measured
+def after_loops(records: list[Record]) -> list[Record]:
+    """Return records that are one closed loop each as after an equal loop, a stated guess; other records unchanged."""
     # Only branches with a known begin count: of a single loop one branch, which has no hysteresis.
-    if len(reversals(record)) != 1 or abs(v[-1] - v[0]) > _CLOSED * np.ptp(v):
-        return record
+    ends = [abs(values[-1] - values[0]) / np.ptp(values) for r in records for values in (r.voltage, r.displacement)]
+    single = max(ends) <= _CLOSED and {len(reversals(record)) for record in records} == {1}
+    return [*map(_after_loop, records)] if single else records
+
+
+def _after_loop(record: Record) -> Record:
+    """Return a loop with an equal one before it, a guess that is stated."""
+    v, y, time, known = record.voltage, record.displacement, record.time, record.measured
     guess = {"motion before the record": "equal loops, as it has only one; record two or more"}
     return replace(
         record,
