@@ -21,8 +21,8 @@ from dehyst.instruments import AbstractRig, Samples, StepFunction
 from dehyst.records import Columns, Record, Recording, about_of, read
 from dehyst.waveforms import Excitation
 
-# A record that takes more than this multiple of its excitation's time causes a remark.
-_SLOW_FACTOR = 1.1
+# Multiples of the planned time, and of the median step of time, above which a record causes a remark.
+_SLOW_FACTOR, _JUMP = 1.1, 50.0
 
 
 class ProgressListener:
@@ -207,8 +207,11 @@ class Session(AbstractContextManager["Session"]):
 
 
 def slower(record: Record, planned: Excitation) -> Iterator[str]:
-    """Yield a remark if the rig took longer than planned."""
-    factor = float(np.ptp(record.time)) / planned.duration
-    if factor > _SLOW_FACTOR:
+    """Yield a remark if the rig took longer than planned, or its time jumped."""
+    steps, factor = np.diff(record.time), float(np.ptp(record.time)) / planned.duration
+    if steps.max() > _JUMP * np.median(steps):
+        at = record.time[steps.argmax()]
+        yield f"The time of the rig jumps by {steps.max():.3g} s at {at:.6g} s: check its clock."
+    elif factor > _SLOW_FACTOR:
         words = "the record has the slower speed. Use a faster link, or play it slower"
         yield f"The rig took {factor:.3g} times as long as planned for '{planned.name}': {words}."

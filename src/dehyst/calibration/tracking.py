@@ -161,10 +161,7 @@ def later_temperature(model: Actuator | Stage, record: Record, seconds: ArrayLik
 
 
 def _joined(records: Sequence[Record]) -> tuple[Array, Array, Array, Array | None]:
-    """Return the records joined, as far back as their times increase.
-
-    Time (n,), voltage and displacement (n, axes), and the temperature (n,) if all of them have it.
-    """
+    """Return time (n,), voltage and displacement (n, axes), known temperature (n,), as far back as times increase."""
     kept = [records[-1]]
     for record in records[-2::-1]:
         if record.time[-1] >= kept[0].time[0]:

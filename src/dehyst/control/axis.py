@@ -286,9 +286,7 @@ def unchanged_by_errors(*axes: Axis) -> Iterator[None]:
 
 def refusal(displacement: float) -> ModelError:
     """Return the error of a displacement that cannot be followed."""
-    return ModelError(
-        argument="displacement", got=repr(displacement), need="a finite number of metres that the model can follow"
-    )
+    return ModelError(argument="displacement", got=repr(displacement), need="a finite number that the model can follow")
 
 
 def preview_filter(actuator: Actuator, period: float) -> tuple[Array, int]:

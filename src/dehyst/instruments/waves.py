@@ -300,7 +300,7 @@ def host_timed(rig: AbstractRig, voltage: Array, rate: float, step: StepFunction
         due = due + period if began - due < _ALLOWED_LATENESS * period else began + period
         rig._wait(max(0.0, 0.5 * (began + sent + period - answer) - rig._now()))
         asked = rig._now()
-        readings.append(rig._reading())
+        readings.append(rig.read())
         read, answer = readings[-1].displacement, (now := rig._now()) - asked
         if now - yielded >= _BATCH_SECONDS or k == len(voltage) - 1:
             yield Samples(*np.array(readings, dtype=np.float64).T)

@@ -131,7 +131,7 @@ def displacement_error(got: tuple[float, float], displacements: Range) -> str:
             "in the records that it was identified from"
         )
     unit = [name for least, name in _UNITS if ratio > least][-1]
-    return f"displacement: got {ends(*got, 'm')}, {reaches}; is this in {unit}? Need metres"
+    return f"displacement: got {ends(*got, 'm')}, {reaches}; is this in {unit}?"
 
 
 def voltage_error(got: tuple[float, float], identified: Range) -> str:

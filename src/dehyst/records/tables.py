@@ -71,8 +71,8 @@ def notes_on(proposal: str) -> list[str]:
     """Return sentences about proposed columns: placeholders to replace, and guesses."""
     notes = {
         RATE: f"Replace {RATE} by the number of samples a second.",
-        GAIN: f"Replace {GAIN} by the number in the data sheet: the volts at the actuator, or the displacement, "
-        "for one unit of the column, or for one fringe or line; 1 if the column holds the actuator's voltage itself.",
+        GAIN: f"Replace {GAIN} by the volts at the actuator, or the displacement, for one unit of the column; "
+        "of a fringe half the wavelength, of a grating the distance of its lines; 1 for the actuator's voltage itself.",
         GUESS: f"A {GUESS} marks a guess; leave it out once you have verified the column and its unit.",
     }
     return ["Check units and scales.", *(note for mark, note in notes.items() if mark in proposal)]

@@ -104,6 +104,9 @@ class Recheck(Plotted):
     promise: Promise | None = None
     to_record: str = ""
 
+    def __repr__(self) -> str:
+        return f"<Recheck of '{self.record}': {self.sentence}>"
+
     @property
     def changed(self) -> tuple[Change, ...]:
         """The changes that count, the largest effect first."""

@@ -89,6 +89,9 @@ class Update:
     zero: float
     unexplained: float = 0.0
 
+    def __repr__(self) -> str:
+        return f"<Update: {self.sentence}>"
+
     @property
     def sentence(self) -> str:
         """The result and its numbers in one line: whether the model was updated, and whether it is good enough."""
