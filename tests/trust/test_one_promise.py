@@ -91,7 +91,7 @@ def test_five_commands_print_the_same_promise(name, tmp_path):
     checked = answer("check", "m.json", "r.csv", cwd=tmp_path)
     fitted = checked["promise"]
     assert checked["stroke_m"] == fitted["stroke_m"] == own["stroke_m"] == there["stroke_m"]
-    assert fitted["path"] == "this path, the whole record from its fitted start"
+    assert fitted["path"] == "the whole record"
     assert fitted["largest_m"] == model.promise(made.voltage, made.time).largest
     # Any path like the records, of the model after the update.
     new = answer("update", "m.json", "r.csv", "-o", "n.json", cwd=tmp_path)["promise"]

@@ -335,7 +335,7 @@ def after_loops(records: list[Record]) -> list[Record]:
 def _after_loop(record: Record) -> Record:
     """Return a loop with an equal one before it, a guess that is stated."""
     v, y, time, known = record.voltage, record.displacement, record.time, record.measured
-    guess = {"motion before the record": "equal loops, as it has only one; record two or more"}
+    guess = {"motion before the record": "equal loops. It has one loop: record two or more"}
     return replace(
         record,
         time=np.append(time[:-1] - np.ptp(time), time),

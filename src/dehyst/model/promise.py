@@ -51,7 +51,6 @@ _BEGINS = {
     "unknown": " from an unknown start",
     "top": " from the top after a rise",
     "bottom": " from the bottom after a fall",
-    "fitted": ", the whole record from its fitted start",
 }
 # Largest number of branches of the records that a model keeps.
 _MOST = 600
@@ -350,6 +349,7 @@ def promise(
     untested = [*(not_recorded(validity) if voltage is None else untested_by(validity, v, clock, at, waits))]
     untested += [Untested("temperature", sentence)] if sentence else []
     start = f"this path{_BEGINS.get(begins, f' from the start {begins}')}"
+    start = "the whole record" if begins == "fitted" else start
     words = "any path like the records" if voltage is None else start
     offset, delay = _OFFSET * parts["model"] + slow, validity.lag if validity.lag_open else 0.0
     return Promise(words, rms_, largest, parts, half, validity.stroke, offset, delay, tuple(untested))

@@ -22,7 +22,7 @@ _PLACES = 400
 _LATE = {
     "actuator": "a voltage planned with times leads its path by this lag",
     "sensor": "the sensor lags, not the path",
-    "": "a path is late by this lag, unless the sensor caused it",
+    "": "if the actuator lags, a path is late by this lag",
 }
 
 
