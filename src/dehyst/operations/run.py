@@ -144,7 +144,8 @@ def perform(ctx: click.Context, run: Run) -> Result:
         result: Result = ctx.command.callback(run, **values)
     written = (each.name for each in ctx.command.params if getattr(each.type, "role", Role.INPUT) is not Role.INPUT)
     made = {str(name): str(values[name]) for name in written if values.get(name) is not None}
-    return replace(result, fields={**made, **result.fields, "warnings": [*run.remarks, *run.details]})
+    told = dict.fromkeys([*result.fields.get("warnings", ()), *run.remarks, *run.details])
+    return replace(result, fields={**made, **result.fields, "warnings": [*told]})
 
 
 def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path], kept: Sequence[Path] = (), *, force: bool) -> None:
