@@ -13,7 +13,7 @@ from scipy.ndimage import shift
 
 from dehyst import Actuator, Record, identify
 from dehyst.model import Validity, with_identification
-from dehyst.model.branches import Excite, branches_of, paces_of
+from dehyst.model.branches import ExciteCommand, branches_of, paces_of
 from dehyst.model.promise import promise
 from dehyst.operations.paths import reason_of
 from dehyst.records import read_table, write_columns, write_record
@@ -161,7 +161,7 @@ def test_a_played_command_is_not_recommended_again(tmp_path):
 
 
 def test_a_measured_cycle_has_a_round_frequency():
-    found = [Excite(TOP, 0.0).with_cycle(cycle).frequency for cycle in (10.01, 9.93, 30.2, 7.0, 96.0)]
+    found = [ExciteCommand(TOP, 0.0).with_cycle(cycle).frequency for cycle in (10.01, 9.93, 30.2, 7.0, 96.0)]
     assert found == [0.1, 0.1, 0.033, 0.143, 0.0104]
 
 

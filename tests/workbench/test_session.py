@@ -318,7 +318,7 @@ async def test_a_refused_operation_does_not_begin(stage):
 async def test_a_record_of_several_axes_is_identified_and_followed(stage):
     second = {**SHOWN, "voltage_V": [-5, 120], "usable": False, "problems": ["short"]}
     columns = [{"name": "vx", "unit": "V", "range": [0, 100]}]
-    parts = {"axes": {"x": {**SHOWN, "problems": [], "file_columns": columns}, "y": second}}
+    parts = {"file_columns": columns, "axes": {"x": {**SHOWN, "problems": []}, "y": second}}
     entry = stage.session.add_record("uploads/two.csv", "two.csv")
     await stage.next(Finished(parts))
     assert (entry.status, entry.axes, entry.voltage) == ("ready", ["x", "y"], [-5, 120])

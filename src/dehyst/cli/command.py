@@ -66,9 +66,9 @@ def run_command(ctx: click.Context) -> None:
         echo_json(result.fields)
     for line in (details and result.more) or result.lines:
         run.say(line)
-    for line in ("", "Add --verbose for all that was found.") if (result.more or run.details) and not details else ():
+    for line in ("", "Add --verbose for all that was found.") if result.more and not details else ():
         run.say(line)
-    for remark in (*run.remarks, *(run.details if details else ())):
+    for remark in run.remarks:
         note(remark)
     sys.exit(0 if result.good else 1)
 

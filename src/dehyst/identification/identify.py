@@ -103,10 +103,10 @@ def _alone(
     """Identify the actuator of one axis."""
 
     def fit(some: list[Record], others: list[Record]) -> Fit:
-        return _Run(settings, some, others, report, deadline).fit()
+        return _Run(settings, after_loops(some), others, report, deadline).fit()
 
     with one_thread():
-        return events.identified(after_loops(as_list(training)), as_list(held_out), fit)
+        return events.identified(as_list(training), as_list(held_out), fit)
 
 
 @dataclass(eq=False)

@@ -10,7 +10,7 @@ from dehyst._views.lines import percent
 from dehyst.identification.preparation import Prepared, counted_samples
 from dehyst.identification.regressors import epochs
 from dehyst.identification.results import FEWEST_DECADES, RecordErrors
-from dehyst.model import Excite
+from dehyst.model import ExciteCommand
 
 # Part of the limits' range at each end; samples in it are rare if they are fewer than this part of one passage.
 _END, _LEAST_PASSAGE = 0.1, 0.25
@@ -51,7 +51,7 @@ def of_offset(error: RecordErrors, offset: float) -> str:
 def of_rare_voltages(records: Sequence[Prepared], limits: tuple[float, float]) -> list[str]:
     """Return remarks about ends of the limits [V] with few used samples."""
     low, high = limits
-    width, slow = _END * (high - low), Excite(high, low, "raised-cosine", cycles=2)
+    width, slow = _END * (high - low), ExciteCommand(high, low, "raised-cosine", cycles=2)
     used = []
     for item in records:
         samples = counted_samples([(piece.voltage, epochs(piece, item.noise)) for piece in item.pieces])

@@ -327,8 +327,9 @@ def prepare(record: Record, *, ringing: bool = False) -> Prepared:
 def after_loops(records: list[Record]) -> list[Record]:
     """Return records that are one closed loop each as after an equal loop, a stated guess; other records unchanged."""
     # Only branches with a known begin count: of a single loop one branch, which has no hysteresis.
-    ends = [abs(values[-1] - values[0]) / np.ptp(values) for r in records for values in (r.voltage, r.displacement)]
-    single = max(ends) <= _CLOSED and {len(reversals(record)) for record in records} == {1}
+    signals = [values for record in records for values in (record.voltage, record.displacement)]
+    closed = all(abs(values[-1] - values[0]) < _CLOSED * np.ptp(values) for values in signals)
+    single = closed and all(len(reversals(record)) == 1 for record in records)
     return [*map(_after_loop, records)] if single else records
 
 

@@ -2,7 +2,7 @@
 
 from dehyst.model.actuator import Actuator, evaluator_of
 from dehyst.model.base import AbstractModel, Motion, State
-from dehyst.model.branches import CELLS, Excite, Untested, branches_of, distances, paces_of, tested_loops
+from dehyst.model.branches import CELLS, ExciteCommand, Untested, branches_of, distances, paces_of, tested_loops
 from dehyst.model.dynamics import DisplacementCreep, Dynamics, Thermal, mechanical_response
 from dehyst.model.elements import (
     GradedSlip,

@@ -114,7 +114,7 @@ def are_tested(path: Array, rising: NDArray[np.bool_], falling: NDArray[np.bool_
 
 
 @dataclass(frozen=True)
-class Excite:
+class ExciteCommand:
     """A `dehyst excite` command in SI units, by default one that tests any path; 0 is the default of an option."""
 
     high: float
@@ -132,12 +132,12 @@ class Excite:
         faster = FASTER if self.kind == "recommended" else 1.0
         return min(2 * STEEPEST * self.frequency * (self.high - self.low) * faster, self.slew_rate or np.inf)
 
-    def with_cycle(self, seconds: float) -> Excite:
+    def with_cycle(self, seconds: float) -> ExciteCommand:
         """Return an excitation with cycles that take `seconds`, or with a round frequency within 1 % of that."""
         rounded = (float(digits(1 / seconds, count)) for count in (1, 2, 3))
         return replace(self, frequency=next(number for number in rounded if abs(number * seconds - 1) < _ROUND))
 
-    def within(self, allowed: float | None, step: float = 0.0, *, fine: bool = False) -> Excite:
+    def within(self, allowed: float | None, step: float = 0.0, *, fine: bool = False) -> ExciteCommand:
         """Return an excitation that keeps to an `allowed` slew rate [V/s].
 
         `step`: largest one [V] between samples, 0 for any; `fine`: with samples that resolve its fastest branches.
@@ -152,7 +152,7 @@ class Excite:
         top, base = step * np.floor(self.high / step + 1e-6), step * np.ceil(self.low / step - 1e-6)
         base = base if abs(base) > 1e-3 * top else 0.0
         numbers = {name: getattr(self, name) for name in ("hold", "cycles", "frequency", "slew_rate", "sample_rate")}
-        given = {name: digits(number, 6) for name, number in numbers.items() if number != getattr(Excite, name)}
+        given = {name: digits(number, 6) for name, number in numbers.items() if number != getattr(ExciteCommand, name)}
         options = "".join(f"--{name.replace('_', '-')} {number} " for name, number in given.items())
         # Different excitations have different files.
         file = "_".join([self.kind, f"{top:g}", *[f"{base:g}"] * bool(base), *given.values()])
@@ -169,7 +169,7 @@ class Untested:
 
     what: str
     sentence: str
-    command: Excite | None = None
+    command: ExciteCommand | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -185,13 +185,13 @@ def untested_by(
     if over > _BEYOND * validity.span:
         words = f"The path goes {over:.3g} V beyond the voltages of the records."
         ends = max(high, float(voltage.max())), min(low, float(voltage.min()))
-        yield Untested("voltages", words, Excite(*ends))
+        yield Untested("voltages", words, ExciteCommand(*ends))
     path, edges = voltage[at], np.linspace(low, high, CELLS + 1)
     outside = int(np.count_nonzero(~are_tested(path, *tested_loops(validity.branches, edges), edges)))
     # Records with random turning points also test the turning points between these.
     if outside and not validity.turns_anywhere:
         words = f"{outside} of {len(path)} branches begin where no record turned."
-        yield Untested("turns", words, Excite(high, low))
+        yield Untested("turns", words, ExciteCommand(high, low))
     if time is None or time.size < 2:
         return
     speed, rate = paces_of(time, voltage, at).T
@@ -219,7 +219,7 @@ def untested_by(
     hold = max(waits, hold_of(time, voltage, validity.span))
     if hold > ALIKE * validity.hold:
         words = f"The path holds for up to {hold:.3g} s; the records hold for {validity.hold:.3g} s at most."
-        yield Untested("hold", words, Excite(high, low, "staircase", hold=float(digits(hold))))
+        yield Untested("hold", words, ExciteCommand(high, low, "staircase", hold=float(digits(hold))))
 
 
 def not_recorded(validity: Validity) -> Iterator[Untested]:
@@ -227,15 +227,15 @@ def not_recorded(validity: Validity) -> Iterator[Untested]:
     low, high = validity.limits
     if not validity.turns_anywhere:
         words = "The records do not turn at random: branches that begin elsewhere are tested little."
-        yield Untested("turns", words, Excite(high, low))
+        yield Untested("turns", words, ExciteCommand(high, low))
     branch = validity.span / validity.speeds[1] if validity.speeds[1] else 0.0
     if branch and validity.hold < branch:
         words = f"The records hold for {validity.hold:.3g} s at most: creep at rest is tested little."
-        yield Untested("hold", words, Excite(high, low, "staircase", hold=round(max(10.0, 2 * branch))))
+        yield Untested("hold", words, ExciteCommand(high, low, "staircase", hold=round(max(10.0, 2 * branch))))
 
 
-def _paced(high: float, low: float, speed: float, faster: float) -> Excite:
+def _paced(high: float, low: float, speed: float, faster: float) -> ExciteCommand:
     """Return an excitation with branches of a mean `speed` [V/s], `faster` times that of its slowest branches."""
     # The fastest branches have the speed of the path and not more.
     frequency, slew_rate = digits(0.5 * speed / faster / (high - low)), digits(STEEPEST * speed, 3)
-    return Excite(high, low, frequency=float(frequency), slew_rate=float(slew_rate))
+    return ExciteCommand(high, low, frequency=float(frequency), slew_rate=float(slew_rate))

@@ -98,7 +98,7 @@ def compensate(
     if plot is not None:
         run.progress("drawing the path")
         write_atomically(plot, _page(known, plans))
-    _remark(known, plans, allowed, volts)
+    untested = _remark(known, plans, allowed, volts)
     size = plan.phase.size - bool(found)
     words = known.prefixed([f"{span_of(part.voltage, 'V')} {begin_words(part)}"] for part in plans)
     lines = [
@@ -107,7 +107,7 @@ def compensate(
         *files(Picture=plot),
     ]
     parts = zip(known.actuators, plans, allowed, slews, strict=True)
-    fields = {"samples": size, **known.merged([_numbers(*part) for part in parts])}
+    fields = {"samples": size, "warnings": untested, **known.merged([_numbers(*part) for part in parts])}
     good = not any(map(fault_of, plans))
     if found:
         fields |= {"settled": found.settled, "error_um": found.error * 1e6, "start_up_cycles": found.cycles}
@@ -115,21 +115,21 @@ def compensate(
         fields["frequency_Hz"] = found.sample_rate / len(found.cycle)
         lines.append(f"{_table_words(found, known.actuators[0].delay)}: {table}")
         good = good and found.settled and not plan.clamped.any()
-    return Result(fields, lines, good=good)
+    return Result(fields, lines, [*lines, *untested] if untested else (), good=good)
 
 
 def _remark(
     known: AxesModel, plans: Sequence[PathPlan], limits: Sequence[Limits], present: Sequence[float | None]
-) -> None:
-    """Add remarks on a plan: what to do, and why a promise is large; what else the records do not test is a detail."""
+) -> list[str]:
+    """Add remarks on a plan: what to do, and why a promise is large; return what else the records do not test."""
     promises = [plan.promise for plan in plans]
     said = known.prefixed(plan.warnings for plan in plans)
     reasons = known.prefixed(map(reason_of, promises, (own.identification.validity for own in known.actuators)))
     untested = known.prefixed([each.sentence for each in promise.untested] if promise else [] for promise in promises)
     known.remark(map(before_path, known.actuators, plans, limits, present))
     known.run.remarks += [*(sentence for sentence in said if sentence not in untested + reasons), *reasons]
-    known.run.details += [sentence for sentence in said if sentence in untested and sentence not in reasons]
     known.remark(map(open_start, plans))
+    return [sentence for sentence in untested if sentence not in reasons]
 
 
 def _table_words(found: WaveTable, delay: float) -> str:

@@ -33,15 +33,14 @@ class Run:
         Whether outputs may replace files.
     known : dict
         JSON values that are known before the end, also if the operation fails.
-    remarks, details : list of str
-        Remarks on the result, which are shown after it, also if the operation fails; `details` only if asked for.
+    remarks : list of str
+        Remarks on the result, which are shown after it, also if the operation fails.
     """
 
     def __init__(self) -> None:
         self.command, self.force = "", False
         self.known: dict[str, Any] = {}
         self.remarks: list[str] = []
-        self.details: list[str] = []
 
     def progress(self, words: str) -> None:
         """Show the present activity; an empty text ends this."""
@@ -144,8 +143,9 @@ def perform(ctx: click.Context, run: Run) -> Result:
         result: Result = ctx.command.callback(run, **values)
     written = (each.name for each in ctx.command.params if getattr(each.type, "role", Role.INPUT) is not Role.INPUT)
     made = {str(name): str(values[name]) for name in written if values.get(name) is not None}
-    told = dict.fromkeys([*result.fields.get("warnings", ()), *run.remarks, *run.details])
-    return replace(result, fields={**made, **result.fields, "warnings": [*told]})
+    # Some results have warnings of their own.
+    remarks = dict.fromkeys([*result.fields.get("warnings", ()), *run.remarks])
+    return replace(result, fields={**made, **result.fields, "warnings": [*remarks]})
 
 
 def demand_outputs(inputs: Iterable[Path], outputs: Sequence[Path], kept: Sequence[Path] = (), *, force: bool) -> None:

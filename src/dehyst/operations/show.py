@@ -43,7 +43,7 @@ def show(
         return Result(model.as_dict(), model.summary().split("\n"))
     columns.demand(RECORD, "here", axes=bool(columns.axes))
     table = table_of(file, columns)
-    run.known["file_columns"] = file_columns = [
+    run.known["file_columns"] = [
         {"name": column.name, "unit": column.parts[1], "range": [] if column.fault else _span(column.data)}
         for column in table.columns
     ]
@@ -56,9 +56,9 @@ def show(
         write_record(output, record)
     if save is not None:
         columns.save(save)
-    fields = {axis: {**found, "file_columns": file_columns} for axis, found in axes.items()}
     lines = [line for axis, found in axes.items() for line in _lines(axis, found)]
-    return Result({"axes": fields} if record.axes else fields[""], [*lines, *files(Record=output, Columns=save)])
+    fields = {"axes": axes} if record.axes else axes[""]
+    return Result({**run.known, **fields}, [*lines, *files(Record=output, Columns=save)])
 
 
 def _span(values: Array) -> list[float]:

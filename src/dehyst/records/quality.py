@@ -27,7 +27,7 @@ _GAINS = (2e-9, 5e-5)
 _SLOWEST = 1000.0
 # Least number of samples of a usable record, and of a sweep.
 _FEWEST, _SWEEP = 20, 3
-# Largest stroke of a piezoelectric actuator, of a bender [m].
+# Largest stroke of a bender [m]; a stage has less, and a record of more than that is asked about.
 _LARGEST_STROKE = 5e-3
 # A time starts again if it returns this near to its first value, as a part of its range.
 _AGAIN = 0.1

@@ -17,7 +17,7 @@ from dehyst._views.fields import json_values
 from dehyst._views.pictures import Plotted
 from dehyst.control import PathPlan
 from dehyst.identification import Identifiability, RecordComparison, compare_all, errors_of, identifiability, probed
-from dehyst.model import Actuator, Excite, Promise, Stage, by_axis, matrix_lines, voltages_of
+from dehyst.model import Actuator, ExciteCommand, Promise, Stage, by_axis, matrix_lines, voltages_of
 from dehyst.records import Record, largest
 from dehyst.trust.recheck import coupling_of
 from dehyst.trust.turn_plane import TurnPlane, turn_plane
@@ -152,9 +152,9 @@ class Insight(Plotted):
         allowed, fine = self.actuator.identification.allowed_slew_rate, bool(self.few_samples)
         return tuple(dict.fromkeys(str(each.within(allowed, step, fine=fine)) for each in self._asked()))
 
-    def _asked(self) -> list[Excite]:
+    def _asked(self) -> list[ExciteCommand]:
         """Return excitations that test more, whatever slew rate is allowed."""
-        tested, usual = self.actuator.identification.validity, Excite(*voltages_of(self.actuator)[::-1])
+        tested, usual = self.actuator.identification.validity, ExciteCommand(*voltages_of(self.actuator)[::-1])
         gaps = self.promise.untested if self.promise and not self._of_others() else ()
         asked = [gap.command for gap in gaps if gap.command] or [usual] * bool(self._open())
         if tested and self.few_samples and usual.kind not in {each.kind for each in asked}:

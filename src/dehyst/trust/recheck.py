@@ -27,7 +27,7 @@ from dehyst.identification import (
     refuse_still,
     zero_by_voltages,
 )
-from dehyst.model import Actuator, Excite, Promise, Stage, State, by_axis, stroke_of, untested, voltages_of
+from dehyst.model import Actuator, ExciteCommand, Promise, Stage, State, by_axis, stroke_of, untested, voltages_of
 from dehyst.records import NOISE_PEAK, Record, beyond_noise, largest, percent, rms, turning_points
 from dehyst.trust.changes import LEARNT, SLOW, Change, Known, find_changes
 
@@ -329,7 +329,7 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     useless = "" if promise is None else promise.unusable
     remarks = [words for words in untested(actuator, promise, record.temperature) if words != useless]
     # Loops that are slow enough to show creep; a counted signal needs a small step of the voltage in each sample.
-    asked = Excite(*voltages_of(actuator)[::-1]).with_cycle(max(cycle, 10.0))
+    asked = ExciteCommand(*voltages_of(actuator)[::-1]).with_cycle(max(cycle, 10.0))
     return Recheck(
         record=record.name,
         model=actuator.name,

@@ -150,8 +150,7 @@ class WorkbenchSession:
 
         def done(finished: Finished) -> None:
             told = finished.error if finished.result is None else finished.result
-            first = next(iter(told.get("axes", {"": told}).values()))
-            entry.file_columns = first.get("file_columns", [])[:_MOST_COLUMNS] or entry.file_columns
+            entry.file_columns = told.get("file_columns", [])[:_MOST_COLUMNS] or entry.file_columns
             if finished.result is None:
                 # The form has the suggestion already.
                 words = str(finished.error.get("reason", finished.words))
