@@ -127,7 +127,7 @@ def columns_of(path, names):
     return np.column_stack([table[name] for name in names]).squeeze()
 
 
-def demand_equal(written, expected):
+def assert_equal_columns(written, expected):
     # A record of coupled axes is rounded where it is written, and decoupled again.
     np.testing.assert_allclose(written, expected, rtol=2 * WRITTEN, atol=1e-8)
 
@@ -142,11 +142,13 @@ def test_compensate_writes_what_the_library_plans(folder, name, words):
     wanted = np.column_stack([PATH, PATH[::-1]]) if several else PATH
     plan = plan_path(model, 1e-6 * wanted, time=TIME, **given)
     each, axes = plan.each or (plan,), ["x", "y"] if several else [""]
-    demand_equal(columns_of(folder / "out.csv", ["vx_V", "vy_V"] if several else ["voltage_V"]), plan.voltage)
+    assert_equal_columns(columns_of(folder / "out.csv", ["vx_V", "vy_V"] if several else ["voltage_V"]), plan.voltage)
     names = [f"{axis}_expected_um" for axis in axes] if several else ["expected_um"]
-    demand_equal(columns_of(folder / "out.csv", names), 1e6 * plan.expected)
+    assert_equal_columns(columns_of(folder / "out.csv", names), 1e6 * plan.expected)
     if plan.first:
-        demand_equal(columns_of(folder / "out.csv", ["time_s", "phase"]), np.column_stack([plan.time, plan.phase]))
+        assert_equal_columns(
+            columns_of(folder / "out.csv", ["time_s", "phase"]), np.column_stack([plan.time, plan.phase])
+        )
     fields = {axis: {key: told[key][axis] if several else told[key] for key in ("promise", "clamped")} for axis in axes}
     for axis, own in zip(axes, each, strict=True):
         assert fields[axis]["clamped"] == own.clamped[own.first :].sum()
@@ -187,7 +189,7 @@ def test_a_path_is_counted_from_its_zero(folder):
     result("compensate", "plain.json", *words, cwd=folder)
     start = PossibleStart.named(PLAIN, "bottom")
     plan = plan_path(PLAIN, 1e-6 * PATH + 1.5e-6, time=TIME, start=start)
-    demand_equal(columns_of(folder / "out.csv", ["voltage_V"]), plan.voltage)
+    assert_equal_columns(columns_of(folder / "out.csv", ["voltage_V"]), plan.voltage)
 
 
 def played_before(model, start):
@@ -214,4 +216,4 @@ def test_simulate_writes_what_the_library_predicts(folder, name, start):
     played = np.column_stack([VOLTAGE, VOLTAGE]) if several else VOLTAGE
     plan = plan_voltage(model, played, time=TIME, start=played_before(model, start))
     axes = ["x_", "y_"] if several else [""]
-    demand_equal(columns_of(folder / "s.csv", [f"{axis}expected_um" for axis in axes]), 1e6 * plan.expected)
+    assert_equal_columns(columns_of(folder / "s.csv", [f"{axis}expected_um" for axis in axes]), 1e6 * plan.expected)

@@ -157,16 +157,16 @@ def test_other_files_are_kept(suffix, tmp_path):
 @pytest.mark.parametrize("kind", MODELS)
 @pytest.mark.parametrize("suffix", RUNS)
 def test_an_export_has_the_voltages_of_the_compensator_to_the_bit(suffix, kind, tmp_path):
-    compare(suffix, tmp_path, model=MODELS[kind])
+    assert_same_voltages(suffix, tmp_path, model=MODELS[kind])
 
 
 @pytest.mark.parametrize("kind", BEGINNINGS)
 @pytest.mark.parametrize("suffix", RUNS)
 def test_an_export_begins_in_the_state_of_the_compensator(suffix, kind, tmp_path):
-    compare(suffix, tmp_path, **{"model": PLAIN, **BEGINNINGS[kind]})
+    assert_same_voltages(suffix, tmp_path, **{"model": PLAIN, **BEGINNINGS[kind]})
 
 
-def compare(suffix, folder, **options):
+def assert_same_voltages(suffix, folder, **options):
     """Assert that an export, which leaves its compensator alone, has its voltages and displacements."""
     compensator, path = Compensator(**options, period=PERIOD), folder / f"stage{suffix}"
     export(compensator, path)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ import numpy as np
 from dehyst._errors import ModelError, RigError
 from dehyst._io import made_folder, write_atomically
 from dehyst._text import escape
+from dehyst._types import Array
 from dehyst._views.lines import percent
 from dehyst.calibration.following import FollowedPath
 from dehyst.control import PathPlan, VoltageLimits
@@ -62,17 +65,6 @@ def follow(
         raise ModelError(argument="feedback", got="a model of several axes", need="one axis", hint="try --learn")
     wanted, warmth, clock = read_path(known, path, columns, zero)
     rate = even_rate(path, clock)
-
-    def judge(plan: PathPlan) -> None:
-        parts = plan.each or (plan,)
-        for line in known.prefixed(part.promise.lines() if part.promise else () for part in parts):
-            run.say(line)
-        faults = [part.failure if learn or feedback else fault_of(part) for part in parts]
-        words = "; ".join(known.prefixed([fault] if fault else [] for fault in faults))
-        if words and not run.force:
-            hint = "nothing was moved; dehyst compensate says which path fits; --force follows this one"
-            raise ModelError(words.removesuffix("."), argument="path", hint=hint)
-
     allowed, slews = known.of("limits", limits), known.slews(slew_rate)
     axes = known.axes if known.several else None
     asked: Any = [each if axes else each[0] for each in (allowed, slews)]
@@ -81,17 +73,17 @@ def follow(
         played = min(rate, HIGHEST_RATE) if feedback else played_rate(instrument, rate)
         if abs(played / rate - 1) > _RATES:
             run.note(f"played at {played:.6g} Hz, as {instrument.name} allows, in place of {rate:.6g} Hz")
-            at, rows = np.arange(0, (len(wanted) - 1) * played / rate + _RATES) * rate / played, np.arange(len(wanted))
-            wanted = np.column_stack([np.interp(at, rows, column) for column in wanted.T])
-            warmth = np.interp(at, rows, warmth) if isinstance(warmth, np.ndarray) else warmth
+            wanted = _resampled(wanted, played / rate)
+            warmth = None if warmth is None else _resampled(warmth, played / rate)
         size = len(wanted)
         if learn or (repeat or 1) > 1:
             wanted = closed_path(wanted)
-        if isinstance(warmth, np.ndarray):
+        if warmth is not None:
             warmth = np.concatenate([warmth, np.full(len(wanted) - size, warmth[-1])])
         record = made_folder(output) / "record.csv"
         if run.force:
             record.unlink(missing_ok=True)
+        judge = partial(_demand_fit, known, fault_of=attrgetter("failure") if learn or feedback else fault_of)
         with Steps(run) as watcher:
             followed = FollowedPath(
                 instrument, known.model, bounds, played, wanted, size, warmth, watcher, run.say, judge
@@ -100,6 +92,23 @@ def follow(
             followed.follow(record, repeat=1 if learn else repeat or 1, lessons=lessons, feedback=feedback)
     run.remarks += followed.remarks
     return _result(known, followed, record, output)
+
+
+def _demand_fit(known: AxesModel, plan: PathPlan, fault_of: Callable[[PathPlan], str]) -> None:
+    """Print the promise of a plan; refuse a plan with a fault, unless `--force` is given."""
+    parts = plan.each or (plan,)
+    for line in known.prefixed(part.promise.lines() if part.promise else () for part in parts):
+        known.run.say(line)
+    words = "; ".join(known.prefixed([fault] if (fault := fault_of(part)) else [] for part in parts))
+    if words and not known.run.force:
+        hint = "nothing was moved; dehyst compensate says which path fits; --force follows this one"
+        raise ModelError(words.removesuffix("."), argument="path", hint=hint)
+
+
+def _resampled(values: Array, ratio: float) -> Array:
+    """Return values (n,) or (n, axes) at `ratio` times their sample rate."""
+    at, rows = np.arange(0, (len(values) - 1) * ratio + _RATES) / ratio, np.arange(len(values))
+    return np.apply_along_axis(lambda column: np.interp(at, rows, column), 0, values)
 
 
 def _bounds(

@@ -300,11 +300,13 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     if not isinstance(model, Actuator | Stage):
         raise IdentifyError(argument="model", got=type(model).__name__, need="an Actuator or a Stage, as of a Fit")
     if not isinstance(record, Record):
-        hint = "read a file with dehyst.read(path)"
-        raise IdentifyError(argument="record", got=type(record).__name__, need="a record", hint=hint)
-    if isinstance(model, Stage):
-        return _check_stage(model, record, goal)
-    actuator, origin = model, model.identification
+        raise IdentifyError(argument="record", got=type(record).__name__, need="a record, as of dehyst.read(path)")
+    return _check_stage(model, record, goal) if isinstance(model, Stage) else _check_actuator(model, record, goal)
+
+
+def _check_actuator(actuator: Actuator, record: Record, goal: float | None) -> Recheck:
+    """Simulate a record from its fitted start, and judge what is left."""
+    origin = actuator.identification
     goal = (origin.goal or _GOAL) if goal is None else goal
     goal = _validation.Numbers(least=1e-3, most=100.0, error=IdentifyError)(goal, "goal")
     with one_thread():
@@ -326,8 +328,8 @@ def check(model: Actuator | Stage, record: Record, *, goal: float | None = None)
     known = Known(errors.zero, _doubt(actuator, record), own, prepared.noise, cycle, slow, stroke, least)
     unexplained = beyond_noise(judged, prepared.noise)
     # The judgement itself says that a promise is too large to be of use.
-    useless = "" if promise is None else promise.unusable
-    remarks = [words for words in untested(actuator, promise, record.temperature) if words != useless]
+    said = untested(actuator, promise, record.temperature)
+    remarks = [words for words in said if promise is None or words != promise.unusable]
     # Loops that are slow enough to show creep; a counted signal needs a small step of the voltage in each sample.
     asked = ExciteCommand(*voltages_of(actuator)[::-1]).with_cycle(max(cycle, 10.0))
     return Recheck(

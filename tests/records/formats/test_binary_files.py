@@ -29,7 +29,7 @@ AXES = "time=1:s, voltage=2:V, displacement=3:um"
 SECONDS, KILOBYTES = 3.0, 400_000
 
 
-def refused(path, change, columns=None):
+def assert_refused(path, change, columns=None):
     """Refuse a file quickly, and before memory is taken; `change`: what the user may change."""
     began, peak = clock.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(FileFormatError) as caught:
@@ -241,8 +241,8 @@ def test_unreadable_columns_state_their_fault(name, write, tmp_path):
     write(tmp_path / name)
     (faulty,) = (column for column in read_table(tmp_path / name).columns if column.fault)
     assert (faulty.leaf, faulty.data.size) == ("displacement_um", 0)
-    refused(tmp_path / name, ())
-    refused(tmp_path / name, (), f"displacement={faulty.name}")
+    assert_refused(tmp_path / name, ())
+    assert_refused(tmp_path / name, (), f"displacement={faulty.name}")
 
 
 def test_units_come_from_names_and_attributes(tmp_path):
@@ -336,7 +336,7 @@ def mat_dimensions(path):
 )
 def test_declared_sizes_are_checked_first(name, write, tmp_path):
     write(tmp_path / name)
-    refused(tmp_path / name, ())
+    assert_refused(tmp_path / name, ())
 
 
 def written(text):
@@ -378,4 +378,4 @@ LONG, STRANGE = "is longer than 1000000 characters", "is a device, a pipe or a s
 )
 def test_unreadable_files_are_refused(name, write, words, tmp_path):
     write(tmp_path / name)
-    assert words in refused(tmp_path / name, ())
+    assert words in assert_refused(tmp_path / name, ())
