@@ -357,8 +357,7 @@ class _Run:
         first = self.deadline.remarks(words) + messages.of_moved_zeros(trained)
         if self.temperatures is not None and made.frame.motion.thermal is not None:
             first.append(self._warms(made))
-        guessed = [sentence for item in self.items for sentence in guesses(item.record)]
-        first += [" ".join(dict.fromkeys(guessed))] if guessed else []
+        first += dict.fromkeys(sentence for item in self.items for sentence in guesses(item.record))
         first += [messages.NO_LAG] * bool(self.settings.lag_of and not actuator.delay + actuator.lag)
         self.remarks = first + self.remarks + messages.of_rare_voltages(self.training, self.limits)
         for item in self.held_out:

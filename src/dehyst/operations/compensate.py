@@ -165,6 +165,7 @@ def _numbers(actuator: Actuator, plan: PathPlan, limits: Limits, slew: float | N
         "slew_V_per_s": slew,
         "start": start_fields(plan),
         "homing_samples": plan.first if homing else 0,
+        "path_begins_s": plan.seconds,
         "homing_s": 0.0 if homing is None else None if time is None else homing.played.duration,
         "certified": plan.certified if homing else None,
         "seconds": None if time is None else float(np.ptp(time)),

@@ -122,7 +122,7 @@ def guesses(record: Record) -> tuple[str, ...]:
         if 0 < span < least or span > most:
             usual = f"{least:g} to {most:g} {unit}"
             doubts.append(f"The {quantity} has a range of {span:.3g} {unit}, where a stage has {usual}")
-    if not doubts and moved and not _GAINS[0] * driven <= moved <= _GAINS[1] * driven:
+    if not doubts and driven and moved and not _GAINS[0] * driven <= moved <= _GAINS[1] * driven:
         doubts = [f"The displacement moves {moved:.3g} m for {driven:.3g} V, where a stage moves 2 nm to 50 um a volt"]
     if (cycle := float(np.ptp(record.time)) / max(len(record.cycles()), 1)) > _SLOWEST:
         doubts.append(f"A cycle takes {cycle:.3g} s")

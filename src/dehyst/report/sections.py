@@ -274,7 +274,7 @@ def path_turns(found: Insight) -> Sequence[Turn]:
 def determined(found: Insight) -> Iterator[Part]:
     """Yield what to record next, and the combinations of stiffnesses that the records determine."""
     commands, directions = "\n".join(map(escape, found.record_next)), found.identifiability
-    asked = f"<pre><code>{commands}</code></pre>" if commands else "<p>Nothing: no excitation would test more.</p>"
+    asked = f"<pre><code>{commands}</code></pre>" if commands else f"<p>{found.nothing_next.capitalize()}.</p>"
     known = f"{directions.determined} of {directions.of} combinations of stiffnesses of {escape(directions.subject)}"
     yield f"<h2>To record next</h2>\n{asked}"
     yield f"<h2>What the turning points determine</h2>\n<p>The turning points of the records determine {known}.</p>"

@@ -138,10 +138,7 @@ class Insight(Plotted):
         return f"<Insight of '{escaped(self.actuator.name)}': {directions}, {counted(len(self.warnings()), 'warning')}>"
 
     def summary(self, full: bool = False) -> str:
-        """Return what `dehyst insight` prints: the error to expect, warnings, and what to record next, in lines.
-
-        With `full`, return what `--verbose` prints: also the directions.
-        """
+        """Return the error to expect, warnings, what to record next, and with `full` the directions, in lines."""
         return "\n".join(escaped(line) for line in lines(self, full=full))
 
     @property
@@ -151,6 +148,12 @@ class Insight(Plotted):
         step = min(item.given.record.meta.get("step_V", 0.0) for item in self.comparisons)
         allowed, fine = self.actuator.identification.allowed_slew_rate, bool(self.few_samples)
         return tuple(dict.fromkeys(str(each.within(allowed, step, fine=fine)) for each in self._asked()))
+
+    @property
+    def nothing_next(self) -> str:
+        """Why no record is asked for; empty if one is."""
+        why = "not known, as these records do not fit the model" if self._of_others() else "no excitation tests more"
+        return "" if self.record_next else why
 
     def _asked(self) -> list[ExciteCommand]:
         """Return excitations that test more, whatever slew rate is allowed."""
@@ -164,10 +167,8 @@ class Insight(Plotted):
     @property
     def few_samples(self) -> int:
         """Samples of the records' fastest branches, if few, and the error of fast branches misses the goal; else 0."""
-        tested, sample = (
-            self.actuator.identification.validity,
-            min(each.given.record.sample_time for each in self.comparisons),
-        )
+        tested = self.actuator.identification.validity
+        sample = min(each.given.record.sample_time for each in self.comparisons)
         goal = 0.01 * self.stroke * (self.actuator.identification.goal or 1.0)
         if not tested or not self.promise or self.promise.largest <= goal or self._of_others():
             return 0
@@ -219,7 +220,7 @@ class Insight(Plotted):
             "stroke_m": self.stroke,
             "origin": self.origin,
             "warnings": list(self.warnings()),
-            **json_values(self, "promise few_samples record_next"),
+            **json_values(self, "promise few_samples record_next nothing_next"),
             "directions": json_values(self.identifiability, "determined of singular_values_V_per_V=values"),
         }
 
@@ -288,9 +289,7 @@ def lines(found: Insight, *, full: bool = True) -> Iterator[str]:
     allowed = found.actuator.identification.allowed_slew_rate or np.inf
     if over := [each.speed for each in found._asked() if each.speed > allowed]:
         yield f"A test of the path takes {digits(max(over), 3)} V/s; excitations keep to the allowed {allowed:.6g} V/s."
-    commands = found.record_next
-    nothing = "not known, as these records do not fit the model" if found._of_others() else "no excitation tests more"
-    yield "To record next:" if commands else f"To record next: {nothing}."
-    yield from (f"    {command}" for command in commands)
+    yield f"To record next: {found.nothing_next}." if found.nothing_next else "To record next:"
+    yield from (f"    {command}" for command in found.record_next)
     if found.expected and found.promise and found.promise.delay:
         yield "To state, if it is known: who lags (dehyst identify --lag-of or --sensor-lag). This lowers the promise."

@@ -123,7 +123,8 @@ class Update:
         """Return JSON values without the model."""
         stroke, pairs = self.recheck.stroke, ("before", "after", "held_out")
         return {
-            **json_values(self, "used good sentence promise missing zero_m=zero stroke_m=recheck.stroke"),
+            **json_values(self, "used good sentence promise missing zero_m=zero"),
+            **json_values(self.recheck, "stroke_m=stroke remarks"),
             "sentences": list(self.sentences()),
             "changes": [change.as_dict(stroke) for change in self.recheck.changes],
             **{f"{name}_percent": [percent(length, stroke) for length in getattr(self, name)] for name in pairs},
